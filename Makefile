@@ -15,12 +15,12 @@ help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record agent and expert as a video; in runs/demo
+demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record expert, MPC and agent as a video; in runs/demo
 	$(BIN)/python -m research paper --out runs/demo/paper
-	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
-	$(BIN)/python evaluate.py --policy helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
-	$(BIN)/python -m baselines video --policy backstepping helm --scenario cruise-storm --episodes 20 \
-	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp $(ARGS)
+	$(BIN)/python evaluate.py --suite presets --policy nmpc helm --out runs/demo/scenarios $(ARGS)
+	$(BIN)/python evaluate.py --policy nmpc helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
+	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
+	  --jobs 1 --size 720x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp $(ARGS)
 	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the video, runs/demo/storm/video.webp'
 
 # Twenty storms, as many as an evaluation draws; the one whose errors are the most usual is shown.
@@ -29,26 +29,26 @@ video: $(VENV)/demo.stamp ## record expert, EKF + MPC and agent in a usual storm
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.
-test: export OMP_NUM_THREADS = 1
-test: export OPENBLAS_NUM_THREADS = 1
-test: export MKL_NUM_THREADS = 1
-test: export MPLBACKEND = Agg
-test: export SDL_AUDIODRIVER = dummy
-test: export SDL_VIDEODRIVER = dummy
-test: lint typecheck ## lint, typecheck and run the tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 25 -m "not slow" $(ARGS)
+test test-all: export OMP_NUM_THREADS = 1
+test test-all: export OPENBLAS_NUM_THREADS = 1
+test test-all: export MKL_NUM_THREADS = 1
+test test-all: export MPLBACKEND = Agg
+test test-all: export SDL_AUDIODRIVER = dummy
+test test-all: export SDL_VIDEODRIVER = dummy
+PYTEST = $(BIN)/python -m pytest -n 2 --dist worksteal
 
-test-all: export OMP_NUM_THREADS = 1
-test-all: test ## the tests, the slow ones, and those of equations once more without a compiler
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
-	AUV_GYM_NATIVE=0 $(BIN)/python -m pytest -n 2 --dist worksteal -k "$(UNCOMPILED)" $(EQUATIONS)
+test: lint typecheck ## lint, typecheck and run the tests, without the slow ones
+	$(PYTEST) -m "not slow" --durations 10 $(ARGS)
 
-# What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and
-# for long runs of what shorter ones show.
+test-all: test ## the tests, the slow ones too, and those of equations once more without a compiler
+	$(PYTEST) -m slow --durations 25
+	AUV_GYM_NATIVE=0 $(PYTEST) -m "not slow" -k "$(UNCOMPILED)" $(EQUATIONS)
+
+# The tests of equations run once more as on a machine without a compiler.
 EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturbances elementary env estimators evaluation \
   kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
-  finished_work or long_runs or steers_alike)
+  finished_work or long_runs or with_casadi)
 
 # In an environment of its own; without torch, whose old versions are gigabytes.
 oldest: export OMP_NUM_THREADS = 1

@@ -1,4 +1,4 @@
-"""Score controllers and agents: `python evaluate.py --help`. Installed as a package: `auv-gym evaluate`."""
+"""Score controllers and agents: `python evaluate.py --help`. In the installed package: `auv-gym evaluate`."""
 
 import sys
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ PROGRAM = "evaluate.py"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate as the arguments say and return the exit status; see `baselines.evaluation.entry.main`."""
+    """Run the evaluation and return the exit status; see `baselines.evaluation.entry.main`."""
     from baselines.evaluation import entry
 
     return entry.main(arguments)

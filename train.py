@@ -1,4 +1,4 @@
-"""Train agents: `python train.py --help`. Installed as a package: `auv-gym train`."""
+"""Train agents: `python train.py --help`. In the installed package: `auv-gym train`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Trajectory tracking for an underactuated AUV: environments, planner and scenarios. Importing registers the ids."""
+"""Trajectory tracking with an underactuated AUV: environments, planner and scenarios; import registers the ids."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import the public names when first used, so that `import auv_gym` costs no more than Gymnasium."""
+    """Import a public name at its first use, so `import auv_gym` takes no longer than that of Gymnasium."""
     if name in _HOMES:
         import importlib
 
@@ -43,7 +43,7 @@ def __dir__() -> list[str]:
 
 
 def _register() -> None:
-    """Register both tasks, once for any scenario, and under an id of its own for each that ships with the package."""
+    """Register both tasks, each with an id for any scenario and an id for each preset."""
     for task, entry_point, vector_entry_point in (
         (
             "UnderactuatedAUVTrack",
@@ -59,7 +59,7 @@ def _register() -> None:
         scenarios: dict[str, int | None] = {"": None, **{f"-{name}": steps for name, steps in STEPS.items()}}
         for name, steps in scenarios.items():
             if f"{task}{name}-v0" not in gym.registry:
-                # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.
+                # The environment checks actions and the order of calls, so it needs no wrappers for that.
                 gym.register(
                     f"{task}{name}-v0",
                     entry_point,

@@ -1,4 +1,4 @@
-"""Where this code was installed from, and what to type for what is not installed."""
+"""The origin of the installation, and the commands that install optional dependencies."""
 
 from __future__ import annotations
 
@@ -7,29 +7,27 @@ import os
 from pathlib import Path
 
 DISTRIBUTION = "auv-gym"
-"""Name of the distribution that holds both packages."""
+"""Name of the distribution."""
 ROOT = Path(__file__).parents[1]
-"""Folder that the packages lie in: a checkout, or an environment's `site-packages`."""
-
-
+"""Folder of the packages: a checkout, or `site-packages` of an environment."""
 RECORD = ROOT / "research" / "data"
-"""Folder of what was measured and trained for studies; only a checkout has it."""
+"""Folder of the measurements and trained agents of studies; only a checkout has it."""
 
 
 def found(folder: Path, name: str) -> Path:
-    """Return a file of a folder of the package; where it is not there, the one of the folder's namesake in `RECORD`."""
+    """Return a file of a folder of the package, or of the folder of the same name in `RECORD` if only that has it."""
     other = RECORD / folder.name / name
     kept = folder.is_relative_to(ROOT) and other.exists() and not (folder / name).exists()
     return other if kept else folder / name
 
 
 def checkout() -> Path | None:
-    """Return the folder of the checkout that this code runs from; None where it was installed as a package."""
+    """Return the folder of the checkout that this code runs from; None for an installed package."""
     return ROOT if (ROOT / "pyproject.toml").is_file() else None
 
 
 def install(*extras: str) -> str:
-    """Return the line that installs extras into what is there, from where that came: a clone, a file or an index.
+    """Return the command that installs extras, from the origin of this installation: a clone, an address or an index.
 
     Args:
         extras: names of `[project.optional-dependencies]` in pyproject.toml.
@@ -42,20 +40,20 @@ def install(*extras: str) -> str:
 
 
 def _origin() -> str:
-    """Return the address that pip has noted for a package that is from no index, see PEP 610; else nothing."""
-    from importlib import metadata  # it takes a tenth of the time to a first environment, which does not need it
+    """Return the address that pip has recorded (PEP 610) if the package is not from an index, else an empty string."""
+    from importlib import metadata  # slow to import, and not needed to make an environment
 
     try:
-        noted = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+        record = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
     except (metadata.PackageNotFoundError, ValueError):
         return ""
-    version = noted.get("vcs_info", {})
+    version = record.get("vcs_info", {})
     prefix, at = (f"{version['vcs']}+", f"@{version['commit_id']}") if version else ("", "")
-    return f"{prefix}{noted['url']}{at}" if "url" in noted else ""
+    return f"{prefix}{record['url']}{at}" if "url" in record else ""
 
 
 def sources() -> str:
-    """Return where the sources of this version lie: the folder of a checkout, else the project's address."""
+    """Return the location of the sources of this version: the folder of a checkout, else the address of the project."""
     if (folder := checkout()) is not None:
         return os.fspath(folder)
     from importlib import metadata
@@ -65,5 +63,5 @@ def sources() -> str:
 
 
 def left_out(what: str) -> str:
-    """Return that something is not part of the installed package, and where it is."""
+    """Return the message that something is not part of the installed package, with the location of the sources."""
     return f"{what} not part of the installed package; the sources have them: {sources()}"

@@ -1,8 +1,8 @@
-"""Controllers, agents, training and evaluation for auv_gym. The names of `__all__` are public; all else is internal."""
+"""Controllers, agents, training and evaluation for auv_gym. The names in `__all__` are public, all others internal."""
 
 from typing import Any
 
-_HOMES = {
+_MODULES = {
     "Agent": "agents.agent",
     "EpisodeRecord": "evaluation.episodes",
     "Log": "identification.log",
@@ -10,22 +10,22 @@ _HOMES = {
     "identify": "identification.fit",
     "list_policies": "policies",
     "list_suites": "evaluation.suites",
-    "make_film": "video.video",
+    "make_video": "video.video",
     "make_policy": "policies",
     "make_residual_env": "residual_envs",
     "make_residual_vector_env": "residual_envs",
     "run_episode": "evaluation.episodes",
     "run_episodes": "evaluation.episodes",
 }
-__all__ = list(_HOMES)
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used, so that `import baselines` is quick."""
-    if name in _HOMES:
+    """Import a public name at its first use, so that `import baselines` is fast."""
+    if name in _MODULES:
         from importlib import import_module
 
-        return getattr(import_module(f"baselines.{_HOMES[name]}"), name)
+        return getattr(import_module(f"baselines.{_MODULES[name]}"), name)
     raise AttributeError(f"module 'baselines' has no attribute {name!r}")
 
 

@@ -1,4 +1,4 @@
-"""All commands in one: `auv-gym COMMAND`, or `python -m baselines COMMAND`, and `--help` behind either for a list."""
+"""The command `auv-gym COMMAND`, also `python -m baselines COMMAND`; `auv-gym --help` lists the commands."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from auv_gym.installation import ROOT, install
 
 PROGRAM = "auv-gym"
 PACKAGES = ("auv_gym", "baselines", "research")
-"""Where a module that is missing is no missing extra."""
-_WRONG_USAGE = 2  # exit status; `command_line` has it too, which needs an extra to be imported
+"""The project's own packages: a missing module of theirs is an error, not a missing extra."""
+_WRONG_USAGE = 2  # exit status, as in `command_line`, which cannot be imported without an extra
 
 
 class Command(NamedTuple):
-    """A command: `main(arguments)` of a module, whose docstring begins with a line about it."""
+    """A command: its module has the function `main(arguments)`, and a docstring whose first line describes it."""
 
     module: str
-    extras: str  # what it needs, with commas between them
+    extras: str  # the extras of the package that it needs, separated by commas
 
 
 COMMANDS = {
@@ -36,16 +36,16 @@ COMMANDS = {
     "video": Command("baselines.video.command", "eval,render"),
     "dataset": Command("baselines.datasets", "data,eval"),
 }
-"""The commands by name; a new one is a line here."""
+"""The commands by name."""
 
 
 def call(command: Command, arguments: Sequence[str], program: str) -> int:
-    """Run a command and return its exit status; a missing package is one line on stderr that says what to install.
+    """Run a command and return its exit status; if a package is missing, one line on stderr says what to install.
 
     Args:
         command: an entry of `COMMANDS`.
-        arguments: the words behind it.
-        program: what the user has typed before them, for its messages.
+        arguments: the words after the command's name.
+        program: the words that the user has typed before the arguments, for messages.
     """
     try:
         from baselines.tools.command_line import run
@@ -60,7 +60,7 @@ def call(command: Command, arguments: Sequence[str], program: str) -> int:
 
 
 def about(command: Command) -> str:
-    """Return the line about a command, read from its module, which is not imported."""
+    """Return the first line of the docstring of a command's module, without importing the module."""
     file = ROOT.joinpath(*command.module.split(".")).with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return text.partition("\n")[0].partition(": `")[0].rstrip(".")
@@ -71,13 +71,13 @@ def usage(program: str, commands: Mapping[str, Command]) -> str:
     width = max(map(len, commands))
     lines = [f"  {name:<{width}}  {about(command)}" for name, command in commands.items()]
     head = (
-        f"usage: {program} COMMAND ...\n\nauv_gym {auv_gym.__version__}. {program} COMMAND --help says more of one.\n"
+        f"usage: {program} COMMAND ...\n\nauv_gym {auv_gym.__version__}. Help of a command: {program} COMMAND --help\n"
     )
     return "\n".join((head, *lines))
 
 
 def main(commands: Mapping[str, Command] = COMMANDS) -> int:
-    """Run the command that this process's arguments name and return its exit status."""
+    """Run the command that is the first argument of this process, and return its exit status."""
     called = Path(sys.argv[0])
     program = f"python -m {called.parent.name}" if called.name == "__main__.py" else called.stem
     name, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("", [])
@@ -89,10 +89,10 @@ def main(commands: Mapping[str, Command] = COMMANDS) -> int:
         return 0
     if name in commands:
         return call(commands[name], arguments, f"{program} {name}")
-    wrong = f"unknown command {name!r}" if name else "no command"
-    near = get_close_matches(name, commands, 1)
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
-    print(f"{program}: {wrong}{hint}; allowed are {', '.join(commands)}; see {program} --help", file=sys.stderr)
+    mistake = f"unknown command {name!r}" if name else "no command"
+    similar = get_close_matches(name, commands, 1)
+    hint = f" (did you mean {similar[0]!r}?)" if similar else ""
+    print(f"{program}: {mistake}{hint}; allowed are {', '.join(commands)}; see {program} --help", file=sys.stderr)
     return _WRONG_USAGE
 
 

@@ -1,6 +1,6 @@
-"""Record datasets of episodes for learning offline, in Minari's format: `auv-gym dataset --help`.
+"""Record datasets of episodes for offline learning, in Minari's format: `auv-gym dataset --help`.
 
-They are deterministic: the same command gives the same content, whose SHA-256 stands in the card.
+The same command gives the same content; the card has its SHA-256.
 """
 
 from __future__ import annotations
@@ -34,55 +34,55 @@ from baselines.tools.files import synchronise
 
 PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
-"""Variable that tells Minari where its datasets are."""
+"""Environment variable with the folder of Minari's datasets."""
 _UNFINISHED = ".unfinished-"
-"""What the name of a folder begins with in which a dataset is being written."""
+"""Beginning of the name of a folder in which a dataset is being written."""
 _LEFTOVER = 3600.0
-"""Age [s] at which such a folder is that of a process that was killed."""
+"""Age [s] from which such a folder belongs to a process that was killed."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Record episodes of policies as a Minari dataset, with a card beside it.
 
-    Each policy runs with each noise, all of them in episodes of their own. Exit status: 0 done, 1 a policy failed or
-    the dataset could not be written, 2 wrong usage.
+    Each combination of policy and noise has its own episodes. Exit status: 0 done, 1 a policy failed or the dataset
+    could not be written, 2 wrong usage.
 
     Example: auv-gym dataset --policy backstepping --scenario cruise-storm --episodes 100
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("backstepping",)
-    """Policies, by name or path as for evaluate.py: the expert (the default), the ladder of controllers, agents."""
+    """Policies by name or path, as for evaluate.py."""
     scenario: str = "cruise-storm"
     """Name of a preset, or a .toml or .json file."""
     episodes: int = 20
-    """Episodes of each policy with each noise."""
+    """Number of episodes for each combination of policy and noise."""
     noise: Annotated[tuple[float, ...], arg(metavar="STD [STD ...]", help_behavior_hint="")] = (0.0,)
-    """Standard deviations of white noise that is added to actions, as fractions of the limits, in [0, 1]."""
+    """Standard deviations of the white noise on the actions, as fractions of the limits, in [0, 1]."""
     seed: int = 0
-    """Seed of the first episode; the others count on from it, and the noise follows from it too."""
+    """Seed of the first episode; each further episode has the next seed. The noise depends on it too."""
     id: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Minari's id of the dataset. Default: auv_gym/SCENARIO/POLICIES-v0."""
+    """Id of the dataset in Minari. Default: auv_gym/SCENARIO/POLICIES-v0."""
     out: Path = Path("runs/datasets")
-    """Folder of Minari's datasets: set MINARI_DATASETS_PATH to it to load them."""
+    """Folder of the datasets. To load them, set MINARI_DATASETS_PATH to it."""
 
 
 @dataclass(frozen=True)
 class DatasetPart:
-    """The episodes of one policy with one noise."""
+    """The episodes of one policy with noise of one standard deviation."""
 
     policy: str
     noise: float
     records: list[EpisodeRecord]
 
 
-class Noisy:
-    """A policy whose actions are disturbed by white noise.
+class NoisyPolicy:
+    """A policy with white noise on its actions.
 
     Args:
-        policy: what acts.
+        policy: the policy without noise.
         noise: standard deviation, as a fraction of the limits.
-        seed: of the noise.
+        seed: seed of the noise.
     """
 
     def __init__(self, policy: Policy, noise: float, seed: int) -> None:
@@ -96,14 +96,14 @@ class Noisy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the policy's actions with noise, within [-1, 1], and its memory."""
+        """Return the actions with noise, clipped to [-1, 1], and the policy's memory."""
         action, state = self.policy.predict(observation, state, episode_start, deterministic)
         noisy = action + self.noise * self._rng.standard_normal(action.shape)
         return np.clip(noisy, -1.0, 1.0).astype(np.float32), state
 
 
 def content_hash(parts: Sequence[DatasetPart]) -> str:
-    """Return the SHA-256 of all observations, actions, rewards, errors and ends, in order."""
+    """Return the SHA-256 of all observations, actions, rewards, errors, saturations and failures, in order."""
     digest = hashlib.sha256()
     for part in parts:
         for r in part.records:
@@ -115,11 +115,11 @@ def content_hash(parts: Sequence[DatasetPart]) -> str:
 def collect(
     policies: Sequence[str], scenario: Scenario, episodes: int, noises: Sequence[float], seed: int
 ) -> list[DatasetPart]:
-    """Return the episodes of each policy with each noise; no two of them have the same seed.
+    """Return the episodes of each policy with each noise; every episode has its own seed.
 
     Raises:
         OSError: a policy's file cannot be read.
-        ValueError: a policy is unknown, or the scenario cannot be followed.
+        ValueError: a policy is unknown, or no path of the scenario is feasible.
         PolicyError: a policy gives no usable action.
     """
     from baselines.policies import make_policy
@@ -128,26 +128,26 @@ def collect(
     for policy in policies:
         for noise in noises:
             first = seed + episodes * len(parts)
-            acting = make_policy(policy, scenario.vehicle)
-            acting = Noisy(acting, noise, first) if noise else acting
-            parts.append(DatasetPart(policy, noise, run_episodes(acting, scenario, episodes, first)))
+            made = make_policy(policy, scenario.vehicle)
+            made = NoisyPolicy(made, noise, first) if noise else made
+            parts.append(DatasetPart(policy, noise, run_episodes(made, scenario, episodes, first)))
     return parts
 
 
 def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: Path, card: str) -> None:
     """Write episodes as a Minari dataset, which appears complete or not at all.
 
-    Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`: what a policy sees of the path ahead is left out.
+    Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`, without the preview of a policy.
 
     Args:
         parts: the episodes.
-        scenario: what they are of.
-        name: Minari's id.
-        folder: where Minari's datasets are.
-        card: Markdown, kept in the dataset's folder and as its description.
+        scenario: their scenario.
+        name: id of the dataset in Minari.
+        folder: folder of Minari's datasets.
+        card: Markdown, written to the dataset's folder and used as its description.
 
     Raises:
-        OSError: it cannot be written, or there is a dataset of that id.
+        OSError: it cannot be written, or a dataset of this id exists.
         ValueError: Minari refuses the id.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -155,19 +155,19 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
         if time.time() - left.stat().st_mtime > _LEFTOVER:
             shutil.rmtree(left)
     before, made = os.environ.get(LIBRARY_FOLDER), Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder.resolve()))
-    os.environ[LIBRARY_FOLDER] = str(made)
+    os.environ[LIBRARY_FOLDER] = str(made)  # Minari needs an absolute path
     try:
         import minari
         from minari.data_collector import EpisodeBuffer
 
         records = [record for part in parts for record in part.records]
-        buffers = [EpisodeBuffer(i, record.seed, None, **_columns(record)) for i, record in enumerate(records)]
+        buffers = [EpisodeBuffer(i, record.seed, None, **_buffer_fields(record)) for i, record in enumerate(records)]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that there is no e-mail address
+            warnings.simplefilter("ignore")  # Minari warns that there is no e-mail address
             minari.create_dataset_from_buffers(
                 name,
                 buffers,
-                env=_specified(scenario),
+                env=_environment(scenario),
                 algorithm_name=", ".join(dict.fromkeys(part.policy for part in parts)),
                 author="auv_gym contributors",
                 description=card,
@@ -189,8 +189,8 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
             os.environ[LIBRARY_FOLDER] = before
 
 
-def _specified(scenario: Scenario) -> Any:
-    """Return the environment that Minari is to make again from the dataset, its scenario as text can hold it."""
+def _environment(scenario: Scenario) -> Any:
+    """Return the environment that Minari recovers from the dataset; its scenario is a name or a dict, as JSON needs."""
     import gymnasium as gym
 
     from auv_gym.scenarios.presets import PRESETS
@@ -200,8 +200,8 @@ def _specified(scenario: Scenario) -> Any:
     return gym.make(EVALUATED_ENV, scenario=scenario.name if preset else scenario.to_dict())
 
 
-def _columns(record: EpisodeRecord) -> dict[str, Any]:
-    """Return an episode as Minari's buffers hold it."""
+def _buffer_fields(record: EpisodeRecord) -> dict[str, Any]:
+    """Return an episode as the fields of Minari's `EpisodeBuffer`."""
     steps = len(record.actions)
     ends = np.arange(steps) == steps - 1
     return {
@@ -215,13 +215,13 @@ def _columns(record: EpisodeRecord) -> dict[str, Any]:
 
 
 def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, command: str) -> str:
-    """Return what a dataset is, as Markdown: its parts, how to make it again, its hash, versions and licence."""
+    """Return the card of a dataset as Markdown: its parts, the command that makes it, hash, versions and licence."""
     from baselines.evaluation.metrics import steady_rmse
     from baselines.tools.files import versions
 
     rows = []
     for part in parts:
-        length = max(len(r.errors) for r in part.records) - 1  # an episode that was lost keeps its last error
+        length = max(len(r.errors) for r in part.records) - 1  # a failed episode keeps its last error
         errors = np.array([np.pad(r.errors[1:], (0, length + 1 - len(r.errors)), mode="edge") for r in part.records])
         returns = np.array([r.total_reward for r in part.records])
         rows.append(
@@ -238,13 +238,14 @@ def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, co
             "An underactuated underwater vehicle follows a planned trajectory: episodes of",
             f"`auv_gym:UnderactuatedAUVTrack-v0` in the scenario `{scenario.name}`, recorded step by step.",
             "",
-            "| policy | noise on actions | episodes | steps | mean return | least return | tail [m] | lost |",
+            "| policy | noise on actions | episodes | steps | mean return | least return | steady [m] | failed |",
             "|---|---|---|---|---|---|---|---|",
             *rows,
             "",
-            "*Tail* is the root mean square of the position error after the first third of an episode, averaged.",
-            "`auv_gym.decode_observation` gives observations in SI units. A policy with memory chose its actions from",
-            "more than one observation, one with a preview from more columns than are kept here.",
+            "*steady* is the steady-state error: the root mean square of the position error after the first third of",
+            "an episode, averaged over the episodes. `auv_gym.decode_observation` gives observations in SI units. The",
+            "actions of a policy with memory depend on earlier observations too, and those of a policy with preview on",
+            "columns that are not in the dataset.",
             "",
             "| | |",
             "|---|---|",
@@ -258,10 +259,10 @@ def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, co
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Make a dataset as the arguments say and return the exit status.
+    """Record a dataset and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are wrong.
     """
     options = parse(Options, arguments, PROGRAM)
     from baselines.evaluation.request import checked_folder, checked_policies, checked_scenario

@@ -1,4 +1,4 @@
-"""Policies by name or path, all with Stable-Baselines3's `predict`."""
+"""Makes policies by name or path; all have the `predict` of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -17,37 +17,38 @@ from baselines.similar import made_for
 
 
 def list_policies() -> dict[str, str]:
-    """Return the names of the policies with a line about each."""
+    """Return a one-line description of each policy, by its name."""
     agents = {name: f"a trained agent, see baselines/agents/shipped/{name}/card.md" for name in shipped_agents()}
     return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 
 def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
-    """Return a policy by name or path; options override those of the entry.
+    """Return a policy by name or path.
 
-    A path is FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, or "cmd:" and the words of a command, all of which can
-    run any code; or a FILE.onnx or the folder of a trained agent, which cannot. An agent's name or folder may be
-    followed by `FADING`. Behind any but a command there may be `GUARD`, and "=" and the policy that takes over.
+    These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
+    cannot: a FILE.onnx, and the folder of a trained agent. The name or folder of an agent may end in `FADING`. Every
+    name but a command may end in `GUARD`, which may be followed by "=" and the name of the fallback policy.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
-        vehicle: the one that the task knows. None: the paper's. A controller or an agent is made for it in the paper's
-            units, see `baselines.similar`, so that its gains follow from the vehicle; what looks behind the observation
-            or comes from a file of code is told it as it is, if its factory takes a `vehicle`.
-        options: of the factory; numbers with units among them are for the vehicle in the paper's units.
+        vehicle: the known vehicle; None: the paper's. A controller or agent is made for it in the paper's units, see
+            `baselines.similar`, so its gains depend on the vehicle. A privileged policy, or one from a file of code,
+            gets the vehicle in SI units, if its factory has a parameter `vehicle`.
+        options: options of the factory, in place of those of the registry. Numbers with units are for the vehicle in
+            the paper's units.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
+        ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
     if (parts := guarded_name(name)) is not None:
-        bare, other = parts
+        guarded, fallback_name = parts
 
-        def guarded(known: Any) -> Policy:
-            fallback = make_policy(other, known) if other else bounded_law(known)
-            return Guarded(make_policy(bare, known, **options), fallback, known)
+        def make_guarded(known: Any) -> Policy:
+            fallback = make_policy(fallback_name, known) if fallback_name else bounded_law(known)
+            return Guarded(make_policy(guarded, known, **options), fallback, known)
 
-        return made_for(vehicle, guarded)
+        return made_for(vehicle, make_guarded)
     if name.endswith(FADING) and not name.startswith(COMMAND):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name) or agent_folder(name) is not None:
@@ -64,6 +65,6 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
 
 
 def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:
-    """Return the vehicle that all scenarios know; None where they differ: one policy cannot believe in several."""
+    """Return the known vehicle of all scenarios; None if they differ, since a policy is made for one vehicle."""
     first = scenarios[0].vehicle
     return first if all(scenario.vehicle == first for scenario in scenarios) else None

@@ -1,4 +1,4 @@
-"""What all controllers share: speeds, regimes, actions, and how a law with memory becomes a policy."""
+"""Shared parts of all policies: reference speeds, control laws with memory, and the interface for batches."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, us
 from auv_gym.task.preview import columns_behind
 
 Memory: TypeAlias = tuple[NDArray[Any], ...]
-"""What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
+"""The state of a controller: arrays with one entry for each of N vehicles along their first axis."""
 
 Starts: TypeAlias = NDArray[np.bool_] | None
-"""Where episodes begin, shape (N,); None: where nothing is remembered."""
+"""The vehicles whose episodes begin, shape (N,); None: those without memory."""
 
-U_R = Observation._fields.index("u_R")  # where u_R stands in a list of terms, faster to make than an `Observation`
-V_R = Observation._fields.index("v_R")  # where v_R stands in a list of terms
+U_R = Observation._fields.index("u_R")  # index of u_R in a list of terms, which is faster to make than `Observation`
+V_R = Observation._fields.index("v_R")  # index of v_R in a list of terms
 A_U = Observation._fields.index("a_u")
-"""Column of an observation with the last surge command; that of the yaw command is the next one."""
+"""Column of an observation with the last surge command; the yaw command is in the next column."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 ALL_SPEEDS = (0.0, math.inf)
-"""Reference speeds [m/s] of a policy that is made for every one."""
+"""Range of reference speeds [m/s] of a policy for all speeds."""
 SPEED_FLOOR = 0.02
-"""Floor [m/s] under a reference speed that something is divided by."""
+"""Smallest reference speed [m/s] in a denominator."""
 
 
 def squared_speed(u_R: Number, v_R: Number, ns: Namespace) -> Number:
@@ -42,7 +42,7 @@ def squared_speed(u_R: Number, v_R: Number, ns: Namespace) -> Number:
 
 
 def reference_speed(u_R: Number, v_R: Number, ns: Namespace) -> Number:
-    """Return the speed [m/s] of a reference with velocities u_R, v_R, at least `SPEED_FLOOR`."""
+    """Return the speed [m/s] of a reference with velocities u_R, v_R [m/s], at least `SPEED_FLOOR`."""
     return ns.sqrt(squared_speed(u_R, v_R, ns))
 
 
@@ -52,7 +52,7 @@ def is_fast(u_R: Number, v_R: Number) -> Any:
 
 
 def first_order(dt: Number, time: Number) -> Any:
-    """Return the share of the way that a first-order response of a time constant [s] makes in dt [s], for arrays."""
+    """Return 1 - exp(-dt / time): the step response after dt [s] of a first-order system of this time constant [s]."""
     return -np.expm1(-dt / time)
 
 
@@ -63,38 +63,38 @@ class Controller(Protocol):
         """Return the memory at the start of n episodes."""
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in at the next control instant.
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next control instant.
 
         Args:
             o: the observation in SI units, fields of shape (N,).
-            memory: as `start` or the last call returned it; it must not be changed in place.
-            extra: what the observation holds behind its terms, shape (N, columns).
+            memory: the memory from `start` or from the last call; it must not be changed in place.
+            extra: the columns of the observation after its terms, shape (N, columns).
         """
 
 
 @runtime_checkable
 class Privileged(Protocol):
-    """A policy that looks behind the observation, as no competitor may; whoever runs it lets it."""
+    """A reference policy that has access to the true state and to the disturbances; entries may not have it."""
 
     def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
-        """Learn, before the reset, which N episodes are to run side by side."""
+        """Take the N episodes that will run in parallel; called before the reset."""
 
     def observe(self, env: Any) -> None:
-        """Look at the vector environment before each `predict`: `state`, `force`, `current`, `time`."""
+        """Read `state`, `force`, `current` and `time` of the vector environment; called before each `predict`."""
 
 
 class Batched(ABC):
-    """A policy, with Stable-Baselines3's `predict`, that acts on batches: one observation is a batch of one.
+    """A policy that acts on batches, with the `predict` of Stable-Baselines3; one observation is a batch of one.
 
-    One bad number costs one decision. For an observation that is not `usable` the last command, which it holds, is
-    repeated, and the memory stays. A memory that gives no finite command for a usable observation begins again.
+    For an observation that is not `usable`, the policy repeats the last command, which is part of the observation, and
+    keeps its memory. If the memory gives no finite command for a usable observation, the memory is reset.
 
     Attributes:
-        preview: control periods ahead at which it wants to know where the reference is.
-        speeds: reference speeds [m/s], least and largest, that it was made for; `predict` warns once of others.
-        remembers: whether it has a memory of its own: `predict` warns where that is dropped, and checks that it is
-            finite.
-        repeated: how many commands were repeated since the policy was made.
+        preview: numbers of control periods ahead at which the policy needs the position of the reference.
+        speeds: smallest and largest reference speed [m/s] that the policy was made for; `predict` warns once of others.
+        remembers: whether the policy has a memory. If so, `predict` warns if the memory is dropped, and checks that it
+            is finite.
+        repeated: number of repeated commands since the policy was made.
     """
 
     preview: tuple[int, ...] = ()
@@ -106,7 +106,7 @@ class Batched(ABC):
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return actions (N, 2) for observations (N, n), and the memory; for the other arguments see `predict`."""
+        """Return actions (N, 2) for observations (N, n), and the memory; the other arguments are those of `predict`."""
 
     def predict(
         self,
@@ -115,54 +115,54 @@ class Batched(ABC):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
+        """Return the action (2,) or actions (N, 2), and the memory: arrays of first axis N, 1 for one observation.
 
-        Memory begins again where `state` is None or `episode_start`, shape (N,), is True.
+        The memory is reset if `state` is None, and for the vehicles where `episode_start`, shape (N,), is True.
 
         Args:
-            observation: one (n,), or a batch (N, n): the terms, the preview, and perhaps further columns.
+            observation: one (n,), or a batch (N, n): the terms, the preview, and optional further columns.
             state: the memory that the last call returned.
             episode_start: True where an episode begins.
-            deterministic: False for a draw from what a stochastic policy might do.
+            deterministic: False: a stochastic policy draws its action.
 
         Raises:
-            ValueError: the observation has the wrong shape or too short a preview, or `state` is of another number of
+            ValueError: the observation has the wrong shape, its preview is too short, or `state` has another number of
                 vehicles.
         """
         rows = observation[None] if observation.ndim == 1 else observation
         if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
-            decoded_terms(observation)  # both say what is wrong
+            decoded_terms(observation)  # one of these two raises the ValueError
             columns_behind(rows, self.preview)
-        if state and isinstance(state[-1], _Waiting):
+        if state and isinstance(state[-1], _NotStarted):
             episode_start = state[-1] if episode_start is None else state[-1] | episode_start
             state = state[:-1]
         if not measured(rows):
-            action, memory = self._decided(rows, state, episode_start, deterministic)
+            action, memory = self._actions_by_row(rows, state, episode_start, deterministic)
             return (action[0] if observation.ndim == 1 else action), memory
         if state is None:
             if self.remembers:
-                warn_of_lost_memory(rows, episode_start)
+                warn_of_dropped_memory(rows, episode_start)
             if self.speeds != ALL_SPEEDS:
                 self._warn_of_speed(rows)
         action, memory = self.actions(rows, state, episode_start, deterministic)
         if self.remembers and not self.sound(action, memory):
-            action, memory = self._decided(rows, state, episode_start, deterministic)
+            action, memory = self._actions_by_row(rows, state, episode_start, deterministic)
         return (action[0] if observation.ndim == 1 else action), memory
 
     def sound(self, action: NDArray[Any], memory: Memory | None) -> bool:
-        """Return whether what `actions` has returned is finite, as far as it must be looked at."""
-        del memory  # where one that is not finite gives an action that is not
+        """Return whether the actions are finite; with `Remembering` the memory is checked too."""
+        del memory  # of a policy whose actions are not finite if its memory is not
         return is_finite(action)
 
-    def _decided(
+    def _actions_by_row(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return what `predict` does, vehicle by vehicle, where a number is none."""
+        """Return actions and memory of a batch in which a measurement, an action or a memory is not usable."""
         n, begins = len(rows), state is None or (False if episode_start is None else episode_start)
         starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows)
         action, done, memory = last_commands(rows), np.zeros(n, dtype=bool), state
         if good.any():
-            # What is decided for the others is not used; they stay in the batch, whose size may change last digits.
+            # Actions of unusable rows are not used; the rows stay, since the size of the batch may change last digits.
             whole = np.where(np.abs(rows) <= LARGEST, rows, rows[good.argmax()])
             found, after = self.actions(whole, state, starts, deterministic)
             done = good
@@ -178,38 +178,38 @@ class Batched(ABC):
             else:
                 memory = tuple(np.where(along(done, a), a, b) for a, b in zip(after, state, strict=True))
         self.repeated += n - int(np.count_nonzero(done))
-        waiting = starts & ~done
-        if waiting.all():
+        not_started = starts & ~done
+        if not_started.all():
             return action, None
-        return action, memory and ((*memory, waiting.view(_Waiting)) if waiting.any() else memory)
+        return action, memory and ((*memory, not_started.view(_NotStarted)) if not_started.any() else memory)
 
     def _warn_of_speed(self, rows: NDArray[Any]) -> None:
-        """Warn once where a reference's speed is none of `speeds`."""
+        """Warn once if the speed of a reference is outside of `speeds`."""
         speed, (low, high) = np.hypot(rows[:, U_R] * SCALES[U_R], rows[:, V_R] * SCALES[V_R]), self.speeds
         if ((speed < low) | (speed > high)).any():
             self.speeds = ALL_SPEEDS
             warnings.warn(
                 f"this policy was trained at reference speeds of {low:.3g} to {high:.3g} m/s, and the episode begins "
-                f"at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent of that regime",
+                f"at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent for that speed range",
                 stacklevel=3,
             )
 
 
-class _Waiting(np.ndarray[Any, Any]):
-    """Which vehicles' episodes have begun without a usable observation: the last array of a memory, if there are any.
+class _NotStarted(np.ndarray[Any, Any]):
+    """Mask (N,) of vehicles that have had no usable observation in their episode; the last array of a memory.
 
-    With their next observation they begin.
+    The memory has no such array if there are no such vehicles. The next usable observation starts their memory.
     """
 
 
 def is_finite(array: NDArray[Any]) -> bool:
-    """Return whether an array holds finite numbers alone, none of them beyond 1e150; it costs a microsecond."""
+    """Return whether all entries of an array are finite and at most 1e150 in magnitude; it takes a microsecond."""
     entries = array.ravel("K")
     return math.isfinite(entries.dot(entries))
 
 
 def _finite_rows(action: NDArray[Any], memory: Memory) -> NDArray[np.bool_]:
-    """Return for which vehicles action and memory are finite, shape (N,)."""
+    """Return the mask (N,) of the vehicles whose action and memory are finite."""
     finite = np.asarray(np.isfinite(action).all(axis=1))
     for array in memory:
         finite &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
@@ -217,17 +217,17 @@ def _finite_rows(action: NDArray[Any], memory: Memory) -> NDArray[np.bool_]:
 
 
 class Remembering(Batched):
-    """A controller with memory as a policy."""
+    """A policy that runs a controller with memory."""
 
     remembers = True
 
     def __init__(self, controller: Controller) -> None:
-        """Wrap a controller; it stays reachable as `controller`, what it wants to see ahead as `preview`."""
+        """Wrap a controller; `controller` is the controller, `preview` its preview."""
         self.controller = controller
         self.preview = preview_of(controller)
 
     def sound(self, action: NDArray[Any], memory: Memory | None) -> bool:
-        """Return whether action and memory are finite: a controller may act without what it believes."""
+        """Return whether action and memory are finite: an estimate in the memory need not affect the action."""
         return is_finite(action) and all(map(is_finite, memory or ()))
 
     def actions(
@@ -241,13 +241,13 @@ class Remembering(Batched):
 
 
 class BySpeed:
-    """Two controllers in one: at each instant the first steers the slow vehicles and the second the fast ones.
+    """A controller that switches between two controllers by the speed of the reference.
 
-    Both have the same kind of memory, and each goes on with what the other has left in it; both need the same preview.
+    Both controllers have the same kind of memory, which they share, and the same preview.
     """
 
     def __init__(self, slow: Controller, cruise: Controller) -> None:
-        """Join two controllers; where the reference is faster than `CRUISE_SPEED`, the second one acts."""
+        """Combine two controllers; `cruise` controls the vehicles whose reference is faster than `CRUISE_SPEED`."""
         self.slow, self.cruise = slow, cruise
         self.preview = preview_of(slow)
 
@@ -256,7 +256,7 @@ class BySpeed:
         return self.slow.start(n)
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next control instant."""
         fast = is_fast(o.u_R, o.v_R)
         if fast.all():
             return self.cruise.forces(o, memory, extra)
@@ -268,31 +268,31 @@ class BySpeed:
         return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
 
 
-def renewed(state: Memory | None, held_out: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
-    """Return the memory of N vehicles, begun anew where `state` is None or `episode_start` is True.
+def renewed(state: Memory | None, initial: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+    """Return the memory of N vehicles, reset if `state` is None, and where `episode_start` is True.
 
     Args:
-        state: as the last control instant left it.
-        held_out: that of episodes which begin, arrays of the same shapes.
-        episode_start: shape (N,), or one for all.
+        state: the memory of the last control instant.
+        initial: the memory at the start of episodes, arrays of the same shapes.
+        episode_start: shape (N,), or one value for all.
 
     Raises:
-        ValueError: `state` is of another number of vehicles or arrays.
+        ValueError: `state` has another number of vehicles or arrays.
     """
     if state is None:
-        return held_out
-    if len(state) != len(held_out) or any(len(a) != len(b) for a, b in zip(state, held_out, strict=True)):
-        raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(held_out[0])}")
+        return initial
+    if len(state) != len(initial) or any(len(a) != len(b) for a, b in zip(state, initial, strict=True)):
+        raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(initial[0])}")
     if episode_start is None or not np.any(episode_start):
         return state
-    begins = np.broadcast_to(episode_start, len(held_out[0]))
-    return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, held_out, strict=True))
+    begins = np.broadcast_to(episode_start, len(initial[0]))
+    return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, initial, strict=True))
 
 
-def warn_of_lost_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | None) -> None:
-    """Warn where a policy that remembers is called without memory in the middle of an episode.
+def warn_of_dropped_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | None) -> None:
+    """Warn if a policy with memory is called without it in the middle of an episode.
 
-    An episode begins with a last action of zero; who has acted before and hands in nothing has dropped the memory.
+    At the beginning of an episode the last action in the observation is zero; later it usually is not.
 
     Args:
         rows: observations, shape (N, n).
@@ -303,13 +303,13 @@ def warn_of_lost_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | N
         acted &= ~np.broadcast_to(episode_start, len(rows))
     if acted.any():
         warnings.warn(
-            "this policy remembers, and its memory was dropped in the middle of an episode: hand the second value that "
-            "predict returns to the next call, action, memory = policy.predict(observation, memory), and None, or "
-            "episode_start, where an episode begins",
+            "this policy has a memory, and its memory was dropped in the middle of an episode: pass the second value "
+            "that predict returns to the next call, action, memory = policy.predict(observation, memory); where an "
+            "episode begins, pass None instead, or episode_start",
             stacklevel=3,
         )
 
 
 def along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return a mask of vehicles, shape (N,), so that it broadcasts along the leading axis of an array."""
+    """Return a mask of vehicles, shape (N,), reshaped to broadcast along the first axis of an array."""
     return mask.reshape(mask.shape + (1,) * (array.ndim - 1))

@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium as gym
 
 from auv_gym.envs import make_track_vector_env
-from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
+from auv_gym.envs.sub_environments import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.vehicle import Vehicle
@@ -37,15 +37,14 @@ def make_residual_env(
         vehicle: the known vehicle, in place of the scenario's.
         control_dt: control period [s], in place of the scenario's.
         render_mode: None, "human" or "rgb_array".
-        expert: a policy, or the name of one, which is told the known vehicle; the observation has the preview that it
-            needs.
+        expert: a policy, or the name of one, which is then made for the known vehicle; the observation has the preview
+            that it needs.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
         render_size: width and height of pictures [px].
 
     Raises:
         OSError: the expert's file cannot be read.
-        ValueError: scenario, vehicle, control period, render mode or size, expert or authority are not what they must
-            be.
+        ValueError: scenario, vehicle, control period, render mode or size, expert or authority is invalid.
     """
     known = changed(as_scenario(scenario), vehicle).vehicle
     policy = make_policy(expert, known) if isinstance(expert, str) else expert
@@ -53,7 +52,7 @@ def make_residual_env(
     return ResidualAction(env, policy, authority)
 
 
-# Where Gymnasium looks for what can be drawn, for "rgb_array_list".
+# Gymnasium reads the render modes here, for "rgb_array_list".
 make_residual_env.metadata = UnderactuatedAUVTrackEnv.metadata  # type: ignore[attr-defined]
 
 
@@ -78,20 +77,20 @@ def make_residual_vector_env(
         scenario: a `Scenario`, its dict, a preset's name, or a sequence of N of them.
         vehicle: the known vehicle, in place of the scenarios'.
         control_dt: control period [s], in place of the scenarios'.
-        render_mode: None; the scalar environment draws.
-        expert: a policy, or the name of one, which is told the known vehicle, if it is the same one everywhere; with
-            backend "torch" a law that computes on tensors.
+        render_mode: None; only the scalar environment can render.
+        expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same;
+            with backend "torch" a law that computes on tensors.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
         backend: "numpy" for arrays of float64, or "torch" for tensors.
-        device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
+        device: device of the tensors, "cpu" or "cuda"; with backend "torch" only.
         dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
         autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
-        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
+        max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
 
     Raises:
         ImportError: the back end is "torch", and torch is not installed.
         OSError: the expert's file cannot be read.
-        ValueError: an argument is not what it must be.
+        ValueError: an argument is invalid.
     """
     given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
     known = common_vehicle([changed(as_scenario(s), vehicle) for s in given])

@@ -1,8 +1,8 @@
-"""What is made for the paper's vehicle, for any other: it is shown everything in units in which that one is similar.
+"""Dimensional scaling: adapts policies for the paper's vehicle to any other vehicle.
 
 Gains have units, so they fit one vehicle. In the units of `auv_gym.physics.units` every vehicle has the mass, length
-and speed of the paper's, so a controller or an agent made there for its ratios, and shown what is observed in those
-units, has gains that are functions of the vehicle. Actions are shares of the limits and need no change.
+and design speed of the paper's vehicle. A controller or an agent that is made in these units, and gets its observations
+in them, therefore has gains that are functions of the vehicle. Actions are fractions of the limits and do not change.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts
 
 
 def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
-    """Return a policy for a vehicle: made for it in the paper's units, and shown what is observed in those.
+    """Return a policy for a vehicle: made in the paper's units, with observations scaled to these units.
 
     Args:
         vehicle: an object, a name, a file or a dict of its parameters. None: the paper's.
-        make: returns the policy for a vehicle, an argument like that one; called once. A vehicle that has the mass,
-            length and design speed of the paper's is handed on as it is, and what comes out is not changed.
+        make: function that returns the policy for a vehicle; called once. If the vehicle has the mass, length and
+            design speed of the paper's, it is passed unchanged, and so is the policy.
 
     Raises:
-        ValueError: there is no such vehicle, or none like it in the paper's units.
+        ValueError: there is no such vehicle, or it cannot be scaled to the paper's units.
     """
     if vehicle is None:
         return make(None)
@@ -44,21 +44,21 @@ def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[
 
 
 def shown_factors(units: Units) -> list[float]:
-    """Return by what each term of an observation in SI units is multiplied to be seen in a vehicle's own units."""
+    """Return the factor of each term of an observation, from SI units to the given units."""
     return [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
 
 
 class Similar(Batched):
-    """A policy for the paper's units as one for SI units, with Stable-Baselines3's `predict`; its memory is the same.
+    """A policy in the paper's units as a policy in SI units, with the `predict` of Stable-Baselines3 and its memory.
 
     Args:
-        policy: the one that acts; it stays reachable as `policy`.
-        units: of the vehicle that it steers.
+        policy: the policy in the paper's units, also the attribute `policy`.
+        units: units of the vehicle.
     """
 
     def __init__(self, policy: Policy, units: Units) -> None:
         self.policy, self.units, self.preview = policy, units, preview_of(policy)
-        if isinstance(policy, Batched):  # its warning of speeds is given here, in SI units
+        if isinstance(policy, Batched):  # this wrapper warns of other speeds, in SI units
             low, high = policy.speeds
             rate, policy.speeds = units.factor(length=1, time=-1), ALL_SPEEDS
             self.speeds = low * rate, high * rate
@@ -69,20 +69,20 @@ class Similar(Batched):
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return actions and memory, see `Batched`.
 
-        Columns behind the terms and the preview, such as the residual environment's, are handed on as they are. The
-        bounds of an observation do not cut what is shown.
+        Columns after the terms and the preview, such as those of the residual environment, are not scaled. Scaled
+        observations are not clipped to the bounds of the observation space.
         """
-        shown = rows.astype(np.float64)
-        shown[:, : len(self._factors)] *= self._factors
-        return self.policy.predict(shown, state, episode_start, deterministic)
+        scaled = rows.astype(np.float64)
+        scaled[:, : len(self._factors)] *= self._factors
+        return self.policy.predict(scaled, state, episode_start, deterministic)
 
 
 class SimilarLaw(Law):
-    """A law for the paper's units as one for SI units: a pure function of the observation's terms again.
+    """A control law in the paper's units as a control law in SI units.
 
     Args:
-        law: the one that acts; it stays reachable as `policy`.
-        units: of the vehicle that it steers.
+        law: the law in the paper's units, also the attribute `policy`.
+        units: units of the vehicle.
     """
 
     def __init__(self, law: Law, units: Units) -> None:
@@ -92,12 +92,12 @@ class SimilarLaw(Law):
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
         """Return F_u [N], F_r [N m] for a `task.Observation` in SI units, or its terms in that order."""
-        F_u, F_r = self.policy.forces(self._shown(o), ns)
+        F_u, F_r = self.policy.forces(self._scaled(o), ns)
         return F_u * self._force, F_r * self._torque
 
     def check(self, terms: Any) -> None:
-        """Look at what is observed, the terms as a list or as rows, and warn if the law is not made for it."""
-        self.policy.check(self._shown(terms) if isinstance(terms, list) else np.array(self._shown(terms)))
+        """Check an observation, its terms as a list or as rows, and warn if it is outside of the law's range."""
+        self.policy.check(self._scaled(terms) if isinstance(terms, list) else np.array(self._scaled(terms)))
 
-    def _shown(self, terms: Sequence[Number]) -> list[Number]:
+    def _scaled(self, terms: Sequence[Number]) -> list[Number]:
         return [term * factor for term, factor in zip(terms, self._factors, strict=False)]

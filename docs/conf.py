@@ -1,4 +1,4 @@
-"""Sphinx: `make docs` builds these pages, with every warning an error."""
+"""Configuration of Sphinx; `make docs` builds the pages, and every warning is an error."""
 
 import functools
 import importlib
@@ -21,7 +21,6 @@ project = "auv_gym"
 author = project_copyright = "auv_gym contributors"
 version = release = auv_gym.__version__
 extensions = [
-    "films",
     "live_page",
     "markdown_docstrings",
     "module_pages",
@@ -33,9 +32,10 @@ extensions = [
     "sphinx.ext.linkcode",
     "sphinx_copybutton",
     "sphinx_design",
+    "videos",
 ]
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # docstrings say types and shapes in words
+autodoc_typehints = "none"  # types and shapes are in the docstrings
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 88
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "dollarmath", "fieldlist"]
@@ -46,11 +46,11 @@ html_static_path = ["_static"]
 html_search_scorer = str(HERE / "_ext" / "scorer.js")
 html_css_files = ["site.css"]
 html_js_files = ["tables.js"]
-html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
+html_math_renderer = "mathml"  # browsers render it without scripts or network
 html_show_sourcelink = False
 exclude_patterns = ["_build"]
 suppress_warnings = [
-    "ref.python",  # a class of this name is in several modules; the link leads to the first
+    "ref.python",  # several modules have a class of this name; the link points to the first
 ]
 
 
@@ -58,7 +58,7 @@ PROJECT = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf
 
 
 def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
-    """Return where the code of a class or function is read; None for fields and constants."""
+    """Return the URL of the source of a class or function; None for fields and constants."""
     try:
         value = functools.reduce(getattr, info["fullname"].split("."), importlib.import_module(info["module"]))
         value = inspect.unwrap(getattr(value, "fget", None) or getattr(value, "func", None) or value)
@@ -69,12 +69,12 @@ def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
     return f"{PROJECT['urls']['Source']}/blob/main/{file}#L{first}-L{first + len(lines) - 1}"
 
 
-def inside(_app: Sphinx, _name: str, source: list[str]) -> None:
-    """Let links that lead out of this folder where it is read as plain files stay inside it."""
+def redirect_links(_app: Sphinx, _name: str, source: list[str]) -> None:
+    """Redirect links to CONTRIBUTING.md, outside of this folder, to the copy of it on this site."""
     source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./CONTRIBUTING\.md\)", r"](\1contributing.md)", source[0])
 
 
-def formula(translator: Any, node: nodes.Element) -> None:
+def write_formula(translator: Any, node: nodes.Element) -> None:
     """Write a formula as MathML."""
     block = isinstance(node, nodes.math_block)
     text = tex2mathml(node.astext(), as_block=block)
@@ -83,6 +83,6 @@ def formula(translator: Any, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Add the hook and the formulas."""
-    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
-    app.connect("source-read", inside)
+    """Add the renderer of formulas and the event handler."""
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
+    app.connect("source-read", redirect_links)

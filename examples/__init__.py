@@ -1,1 +1,1 @@
-"""Other people's libraries on the environments as they are: `python -m examples`, `make examples`."""
+"""Examples of other libraries that use the environments: `python -m examples` or `make examples`."""

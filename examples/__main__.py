@@ -1,7 +1,7 @@
-"""Run other libraries on the environments, each in a virtual environment with its requirements.
+"""Run examples of other libraries, in virtual environments with their requirements.
 
 `python -m examples` needs only Python. It makes the virtual environments under build/examples with pip, runs the
-scripts, keeps the results in docs/tools.json and writes the table of docs/tools.md from them.
+scripts, writes their results to docs/tools.json, and updates the table of docs/tools.md.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ VERSIONS = "import importlib.metadata as m, json, sys; print(json.dumps({n: m.ve
 
 @dataclass(frozen=True)
 class Example:
-    """A library, the script that uses it, and what that needs."""
+    """The example of a library: title and requirements."""
 
     title: str
-    packages: tuple[str, ...]  # whose versions the table shows
-    requires: tuple[str, ...]  # for pip, besides this package with `extras`
+    packages: tuple[str, ...]  # the packages whose versions the table has
+    requires: tuple[str, ...]  # requirements for pip, in addition to this package with `extras`
     extras: str = "train"
-    alone: str = ""  # why it needs versions other than constraints.txt, if it does
-    unresolved: tuple[str, ...] = ()  # for pip, without its dependencies
+    alone: str = ""  # reason for versions other than those of constraints.txt; "" without
+    unresolved: tuple[str, ...] = ()  # requirements that pip installs without dependencies
 
 
 EXAMPLES = {
@@ -49,7 +49,7 @@ EXAMPLES = {
         "CleanRL",
         ("cleanrl",),
         ("gymnasium==0.29.1", "tensorboard", "tyro", "stable-baselines3", "setuptools<81", "wandb"),
-        alone="its scripts need gymnasium < 1.0; the package's own pins, of 2023, are left out",
+        alone="its scripts need gymnasium < 1.0; the package's own pinned versions, of 2023, are left out",
         unresolved=("cleanrl==1.2.0",),
     ),
     "torchrl": Example("TorchRL", ("torchrl", "tensordict"), ("torchrl",)),
@@ -65,7 +65,7 @@ EXAMPLES = {
 
 
 def python_of(name: str) -> Path:
-    """Return the Python of an example's environment, made and filled if that is still to be done."""
+    """Return the Python of an example's virtual environment; make the environment first if it does not exist."""
     example = EXAMPLES[name]
     folder = BUILD / (name if example.alone else "shared")
     python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
@@ -88,7 +88,7 @@ def run(name: str, quick: bool) -> dict[str, object]:
     """Run an example and return its entry of the record.
 
     Raises:
-        RuntimeError: it fails.
+        RuntimeError: the script fails.
     """
     example, python = EXAMPLES[name], python_of(name)
     folder = BUILD / "work" / name
@@ -114,7 +114,7 @@ def run(name: str, quick: bool) -> dict[str, object]:
 
 
 def table(record: dict[str, dict[str, object]]) -> str:
-    """Return the table of the page."""
+    """Return the table of the page as Markdown."""
     rows = ["| library | versions | date | what runs | script |", "|---|---|---|---|---|"]
     for name in EXAMPLES:
         if entry := record.get(name):
@@ -127,16 +127,16 @@ def table(record: dict[str, dict[str, object]]) -> str:
 
 
 def page_with(text: str, record: dict[str, dict[str, object]]) -> str:
-    """Return the page with the table of a record in place of its own."""
+    """Return the page with its table replaced by that of a record."""
     head, _, rest = text.partition(BEGIN)
     return f"{head}{BEGIN}\n\n{table(record)}\n\n{END}{rest.partition(END)[2]}"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the examples that are named, or all; return 1 if one fails, else 0."""
+    """Run the named examples, or all, and return the exit status: 1 if one fails, otherwise 0."""
     parser = argparse.ArgumentParser(prog="python -m examples", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(EXAMPLES)}; without any, all")
-    parser.add_argument("--quick", action="store_true", help="as few steps as show that it runs")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(EXAMPLES)}; default: all")
+    parser.add_argument("--quick", action="store_true", help="short runs, which only show that the scripts work")
     chosen = parser.parse_args(arguments)
     if unknown := [name for name in chosen.names if name not in EXAMPLES]:
         parser.error(f"unknown example {unknown[0]!r}; allowed are {', '.join(EXAMPLES)}")

@@ -1,4 +1,4 @@
-"""What the scripts share: the ids, how much to do, and the score of what was trained."""
+"""Shared code of the examples: ids of environments, numbers of steps, and the error of a trained policy."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-QUICK = "--quick" in sys.argv  # as few steps as show that it runs
+QUICK = "--quick" in sys.argv  # short runs, which only show that the scripts work
 TRACK = "auv_gym:UnderactuatedAUVTrack-cruise-calm-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-cruise-calm-v0"
 IDS = (TRACK, RESIDUAL)
 
 
 def steps(usual: int, quick: int) -> int:
-    """Return how many steps to take."""
+    """Return the number of steps, depending on --quick."""
     return quick if QUICK else usual
 
 
 def steady_error(policy: str, scenario: str = "cruise-calm") -> float:
-    """Return the tail error [m] that `evaluate.py` finds for a policy, a name or a path."""
+    """Return the steady-state RMSE [m] of a policy, a name or a path, from `evaluate.py`."""
     words = ["--policy", policy, "--scenario", scenario, "--episodes", "2", "--jobs", "1", "--out", "scored"]
     subprocess.run([sys.executable, str(ROOT / "evaluate.py"), *words], check=True, stdout=subprocess.DEVNULL)
     results = json.loads(Path("scored", "results.json").read_text(encoding="utf-8"))["results"]
@@ -30,10 +30,10 @@ def steady_error(policy: str, scenario: str = "cruise-calm") -> float:
 
 
 def figure(error: float) -> str:
-    """Return a tail error [m] for the line; what was trained for a moment has none."""
+    """Return a steady-state RMSE [m] as text; empty with --quick, since short training gives no useful error."""
     return "" if QUICK else f" ({error:.2g} m)"
 
 
-def works(what: str) -> None:
-    """Say in one line what has been shown."""
-    print(f"works: {what}")
+def works(text: str) -> None:
+    """Print the line from which `examples.__main__.run` takes the result."""
+    print(f"works: {text}")

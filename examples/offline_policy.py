@@ -1,4 +1,4 @@
-"""A network in TorchScript as a policy for evaluate.py: this file is copied beside it and named FILE.py:policy."""
+"""A TorchScript network as a policy for evaluate.py; `write_policy` copies this file into the network's folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NETWORK = "network.pt"
 
 
 class Network:
-    """A policy without memory that asks a network."""
+    """A policy without memory that evaluates a network."""
 
     def __init__(self, network: Any) -> None:
         self.network = network
@@ -29,12 +29,12 @@ class Network:
 
 
 def policy() -> Network:
-    """Return the policy of the network beside this file."""
+    """Return the policy of the network in the folder of this file."""
     return Network(torch.jit.load(str(Path(__file__).with_name(NETWORK))))
 
 
 def write_policy(network: Any, folder: Path) -> str:
-    """Write a network with this file into a folder; return the policy's name for evaluate.py."""
+    """Write a network and a copy of this file into a folder, and return the policy's name for evaluate.py."""
     folder.mkdir(parents=True, exist_ok=True)
     network.save(str(folder / NETWORK))
     shutil.copy(__file__, folder / "policy.py")

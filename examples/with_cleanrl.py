@@ -1,4 +1,4 @@
-"""CleanRL: its own single-file scripts as the package holds them, with nothing but an id."""
+"""CleanRL: unmodified single-file scripts of the package, with the id of an environment."""
 
 import importlib.util
 import subprocess

@@ -1,4 +1,4 @@
-"""d3rlpy: TD3+BC and IQL on a dataset of ours, SAC online on both ids; all by its own calls, scored by evaluate.py."""
+"""d3rlpy: TD3+BC and IQL on a dataset of `auv-gym dataset`, scored by evaluate.py, and SAC online on both ids."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Minari: its own DataCollector, our datasets, and a policy cloned from one, scored by evaluate.py."""
+"""Minari: its DataCollector, a dataset of `auv-gym dataset`, and behaviour cloning from it, scored by evaluate.py."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ from baselines import make_policy
 
 
 def collected(env_id: str, name: str) -> minari.MinariDataset:
-    """Return a dataset that Minari's own collector has recorded of the expert."""
+    """Return a dataset of the expert, recorded by Minari's DataCollector."""
     env, expert = DataCollector(gym.make(env_id)), make_policy("backstepping")
     for seed in range(2):
         observation, _ = env.reset(seed=seed)
@@ -33,15 +33,15 @@ def collected(env_id: str, name: str) -> minari.MinariDataset:
 
 
 def cloned(dataset: minari.MinariDataset, updates: int) -> nn.Module:
-    """Return a network that imitates the actions of a dataset."""
+    """Train a network to imitate the actions of a dataset and return it."""
     episodes = list(dataset.iterate_episodes())
-    seen = torch.tensor(np.concatenate([e.observations[:-1] for e in episodes]), dtype=torch.float32)
-    done = torch.tensor(np.concatenate([e.actions for e in episodes]), dtype=torch.float32)
-    net = nn.Sequential(nn.Linear(seen.shape[1], 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 2))
+    observations = torch.tensor(np.concatenate([e.observations[:-1] for e in episodes]), dtype=torch.float32)
+    actions = torch.tensor(np.concatenate([e.actions for e in episodes]), dtype=torch.float32)
+    net = nn.Sequential(nn.Linear(observations.shape[1], 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 2))
     optimizer = torch.optim.Adam(net.parameters(), 1e-3)
     for _ in range(updates):
-        batch = torch.randint(len(seen), (256,))
-        loss = ((net(seen[batch]) - done[batch]) ** 2).mean()
+        batch = torch.randint(len(observations), (256,))
+        loss = ((net(observations[batch]) - actions[batch]) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -1,4 +1,4 @@
-"""ONNX Runtime: an agent with its expert as one graph, and actors of Stable-Baselines3, equal to their originals."""
+"""ONNX Runtime: compares an exported agent and exported actors of Stable-Baselines3 with their originals."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ class Actor(torch.nn.Module):
 
 
 def exported(model: PPO, file: Path) -> onnxruntime.InferenceSession:
-    """Return a session of the actor, written as a file."""
+    """Write the actor as a file and return a session with it."""
     size = model.observation_space.shape[0]
     torch.onnx.export(
         Actor(model.policy), (torch.zeros(1, size),), str(file), opset_version=17, dynamo=False,
@@ -38,7 +38,7 @@ def exported(model: PPO, file: Path) -> onnxruntime.InferenceSession:
 
 
 def agree(name: str, count: int) -> None:
-    """Export an agent of ours and steer with the graph, its memory handed on; compare each command."""
+    """Export an agent and compare its graph with the agent in each control step of an episode, including the memory."""
     words = ("--out", ".", "--format", "onnx")
     subprocess.run([sys.executable, "-m", "baselines", "export", name, *words], check=True, stdout=subprocess.DEVNULL)
     session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])

@@ -1,4 +1,4 @@
-"""Optuna: a search for the authority and the learning rate of a residual agent, and for a gain of a law."""
+"""Optuna: search for the authority and the learning rate of a residual agent, and for the best policy in a scenario."""
 
 import gymnasium as gym
 import numpy as np
@@ -12,7 +12,7 @@ from baselines import run_episodes
 
 
 def learned(trial: optuna.Trial) -> float:
-    """Return the mean return of a short training."""
+    """Return the return of an agent after a short training."""
     env = Monitor(gym.make(RESIDUAL, authority=trial.suggest_float("authority", 0.05, 0.5)))
     rate = trial.suggest_float("learning_rate", 1e-5, 1e-3, log=True)
     model = PPO("MlpPolicy", env, learning_rate=rate, n_steps=64, device="cpu", seed=0)
@@ -21,7 +21,7 @@ def learned(trial: optuna.Trial) -> float:
 
 
 def chosen(trial: optuna.Trial) -> float:
-    """Return the mean error [m] of a policy in a scenario without learning."""
+    """Return the mean error [m] of a policy without learning."""
     policy = trial.suggest_categorical("policy", ["backstepping", "integral", "lqi"])
     return float(np.mean([r.errors.mean() for r in run_episodes(policy, "cruise-current", 2)]))
 

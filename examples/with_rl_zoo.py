@@ -1,4 +1,4 @@
-"""rl_zoo3: its commands train and enjoy on both ids, and evaluate.py scores the folder that they leave."""
+"""rl_zoo3: the commands train and enjoy on both ids; evaluate.py scores the models."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ HYPERPARAMETERS = """
 
 
 def zoo(command: str, *words: str) -> None:
-    """Run one of its commands."""
+    """Run a command of rl_zoo3."""
     subprocess.run([sys.executable, "-m", f"rl_zoo3.{command}", *words], check=True, stdout=subprocess.DEVNULL)
 
 

@@ -1,4 +1,4 @@
-"""RLlib: PPO with its new stack, trained, saved and loaded again."""
+"""RLlib: trains PPO with the new API stack, saves it and loads it."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from ray.tune.registry import register_env
 if __name__ == "__main__":
     ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     for env_id in IDS:
-        name = env_id.rpartition(":")[2].removesuffix("-v0")  # a name that Gymnasium does not know
+        name = env_id.rpartition(":")[2].removesuffix("-v0")  # must differ from the names in Gymnasium's registry
         register_env(name, lambda config, env_id=env_id: gym.make(env_id, **config))
         size = steps(4000, 700)
         config = (

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 and sb3-contrib: every algorithm for continuous actions, both ids, VecNormalize, scored."""
+"""Stable-Baselines3 and sb3-contrib: all algorithms for continuous actions on both ids, VecNormalize, and scores."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ SMALL = {"net_arch": [16]}
 
 
 def train(name: str, env_id: str, folder: Path) -> Path:
-    """Train with an algorithm and return the file of the model, its statistics beside it if it was normalised."""
+    """Train with an algorithm and return the file of the model; statistics of VecNormalize are in the same folder."""
     algorithm = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
     env = make_vec_env(env_id, n_envs=2, seed=0)
     options = {"device": "cpu", "seed": 0, "policy_kwargs": SMALL}

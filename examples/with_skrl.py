@@ -1,4 +1,4 @@
-"""skrl: its runner trains PPO on the scalar, the native vector and the torch environments."""
+"""skrl: the runner trains PPO on the scalar, the native vector and the torch environments."""
 
 import gymnasium as gym
 import numpy as np
@@ -40,7 +40,7 @@ if __name__ == "__main__":
     for env_id in IDS:
         vector = {"num_envs": 4, "vectorization_mode": "vector_entry_point"}
         for env in (
-            gym.wrappers.DtypeObservation(gym.make(env_id), np.float32),  # skrl's networks are of float32
+            gym.wrappers.DtypeObservation(gym.make(env_id), np.float32),  # skrl's networks have single precision
             gym.wrappers.vector.DtypeObservation(gym.make_vec(env_id, **vector, autoreset_mode="NextStep"), np.float32),
             gym.make_vec(env_id, **vector, backend="torch"),
         ):

@@ -1,4 +1,4 @@
-"""Tianshou: an experiment of its high-level interface, PPO and SAC, with nothing but an id."""
+"""Tianshou: experiments with PPO and SAC by the high-level interface, with the id of an environment."""
 
 import numpy as np
 from common import IDS, steps, works

@@ -1,4 +1,4 @@
-"""TorchRL: the scalar, the native vector and the torch environment through its own wrappers, and a PPO loss."""
+"""TorchRL: the scalar, the native vector and the torch environments in TorchRL's wrappers, and updates of PPO."""
 
 import gymnasium as gym
 import torch
@@ -14,7 +14,7 @@ from torchrl.objectives.value import GAE
 
 
 def vector(env_id: str, **options: object) -> GymWrapper:
-    """Return the native vector environment as TorchRL wants it: who resets what is over is TorchRL."""
+    """Return the native vector environment without automatic reset, since TorchRL resets finished episodes."""
     env = gym.make_vec(
         env_id, num_envs=4, vectorization_mode="vector_entry_point", autoreset_mode="Disabled", **options
     )

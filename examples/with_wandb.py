@@ -1,4 +1,4 @@
-"""Weights & Biases without a network: its callback for Stable-Baselines3 logs a training into a local folder."""
+"""Weights & Biases offline: the callback for Stable-Baselines3 logs a training into a local folder."""
 
 import os
 from pathlib import Path

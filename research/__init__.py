@@ -3,6 +3,6 @@
 from pathlib import Path
 
 DATA = Path(__file__).parent / "data"
-"""Folder of what was measured."""
+"""Folder of the measurements."""
 DOCS = Path(__file__).parents[1] / "docs"
 """Folder of the documentation, whose pages and figures are written from `DATA`."""

@@ -1,4 +1,4 @@
-"""Run a study, or write what it measured to its page: `python -m research NAME`, and `--help` behind either."""
+"""Run a study or write the pages of results: `python -m research COMMAND`; `--help` lists commands and options."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from baselines.__main__ import Command, main
 COMMANDS = {
     "bound": Command("research.lower_bounds.bound", "eval"),
     "deployment": Command("research.deployment.measure", "export"),
-    "estimation-bound": Command("research.lower_bounds.floor.command", "eval"),
+    "estimation-bound": Command("research.lower_bounds.estimation.command", "eval"),
     "failure-rate": Command("research.robustness.failure_rate", "eval"),
     "falsification": Command("research.robustness.falsification", "tuning"),
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
@@ -27,6 +27,7 @@ COMMANDS = {
     "throughput": Command("research.throughput.measure", "eval"),
     "train-all": Command("research.trainings.shipped", "train"),
     "transfer": Command("research.transfer.command", "eval"),
+    "validation": Command("research.validation.command", "eval"),
     "vehicle-gains": Command("research.vehicles.vehicles", "tuning"),
     "web-demo": Command("research.site.live.page", "eval"),
 }

@@ -1,7 +1,7 @@
 """Write the pages of the documentation that show measurements: `python -m research pages --help`.
 
-A page is a template, research/templates/NAME.md.jinja, filled with what the `context` of its module returns.
-Rendering is deterministic: a page that differs from its template and data is stale.
+A page is a template, research/templates/NAME.md.jinja, filled with the values that the `context` of its module
+returns. Rendering is deterministic: a page that differs from its template and data is stale.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from research import DOCS
 PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 120
-"""Characters of a line of prose."""
+"""Most characters in a line of prose."""
 SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
 PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
@@ -33,12 +33,13 @@ PAGES: Mapping[str, str] = {
     "results/vehicles-v1": "research.results.vehicles",
     "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
-    "elsewhere": "research.transfer.page",
+    "transfer": "research.transfer.page",
+    "validation": "research.validation.page",
     "speed": "research.throughput.measure",
     "sensitivity": "research.robustness.model_error",
 }
-"""The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
-figures as PNG by name."""
+"""Module of each page: `context(page)` returns the values of its template; the optional `figures(page)` returns its
+figures as PNG, by name."""
 PARTS: Mapping[str, Mapping[str, str]] = {
     "vehicles": {"published vehicles": "research.vehicles.tables:published_vehicles"},
     "vehicle-gains": {"gains": "research.vehicles.vehicles_page:gains_section"},
@@ -52,32 +53,32 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
     },
 }
-"""Pages that are written by hand except for some parts: `module:function` that returns a part, by page and name."""
+"""Pages that are written by hand except for some parts: the `module:function` that returns a part, by page and name."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Write the pages of measurements from their templates and what was measured.
+    """Write the pages of measurements from their templates and data.
 
     Exit status: 0 done, 1 with --check a page is stale, 2 wrong usage.
     """
 
     page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]")] = ()
-    """Pages by name, such as results. Without any, all."""
+    """Names of pages, such as results. Default: all."""
     check: bool = False
-    """Write nothing; say which pages are stale."""
+    """Write nothing; print which pages are stale."""
     out: Path = DOCS
     """Folder of the pages."""
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[Any]], right: bool = True) -> str:
-    """Return a Markdown table whose columns but the first are aligned right, or none of them."""
+    """Return a Markdown table; with `right`, all columns except the first are aligned right."""
     lines = [heads, ["---", *("--:" if right else "---" for _ in heads[1:])], *rows]
     return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
 def render(page: str) -> str:
-    """Return a page as its template and the measurements make it."""
+    """Return the text of a page, from its template and the measurements."""
     if page in PARTS:
         return _with_parts(page)
     context = import_module(PAGES[page]).context(page)
@@ -85,7 +86,7 @@ def render(page: str) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """Return a page without lines of prose that are longer than `WIDTH`."""
+    """Return a page with its prose wrapped to at most `WIDTH` characters in a line."""
     lines, code = [], False
     for line in text.split("\n"):
         code ^= line.startswith("```")
@@ -99,20 +100,20 @@ def _wrapped(text: str) -> str:
 
 
 def _with_parts(page: str) -> str:
-    """Return a page with its parts as they are made now, each between two comments with its name."""
+    """Return a page with its parts made again; each part is between two comments with its name."""
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
     for name, maker in PARTS[page].items():
         module, _, function = maker.partition(":")
         part: str = getattr(import_module(module), function)()
         begin, end = f"<!-- {name}: made by `{PROGRAM} {page}` -->", f"<!-- end of {name} -->"
-        before, rest = text.split(begin)  # a page without a mark is an error, not a longer page
+        before, rest = text.split(begin)  # raises ValueError unless the page has the comment once
         _, after = rest.split(end)
         text = f"{before}{begin}\n\n{_wrapped(part.strip())}\n\n{end}{after}"
     return text
 
 
 def fill(template: str, values: Mapping[str, Any]) -> str:
-    """Return the text of templates/TEMPLATE.md.jinja with these values."""
+    """Return the text of templates/TEMPLATE.md.jinja, filled with values."""
     return _environment().get_template(f"{template}.md.jinja").render(values)
 
 
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str]) -> int:
     """Write or check the pages and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("page", options.page, (*PAGES, *PARTS))

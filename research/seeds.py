@@ -1,25 +1,25 @@
-"""Seeds of the studies' episodes: parts of `baselines.tools.seeds.STUDIES`, one for each."""
+"""Ranges of seeds for the episodes of each study, all in `baselines.tools.seeds.STUDIES`."""
 
 from __future__ import annotations
 
 from baselines.tools.seeds import Seeds
 
-_GUARD = Seeds(40_000_000, 45_000_000)
-"""The guard's thresholds are chosen on these."""
+GUARD = Seeds(40_000_000, 45_000_000)
+"""Choice of the thresholds of the guard."""
 FAILURE_RATE = Seeds(45_000_000, 55_000_000)
-"""Failures are counted on these."""
+"""Failure rates."""
 FALSIFICATION = Seeds(55_000_000, 60_000_000)
-"""Disturbances that make a policy fail are searched for on these."""
+"""Search for disturbances that make a policy fail."""
 HELD_OUT = Seeds(70_000_000, 80_000_000)
-"""Policies are compared on these; nothing is chosen on them."""
+"""Held-out comparison of policies; nothing is chosen on these episodes."""
 SENSITIVITY = Seeds(80_000_000, 90_000_000)
-"""Sensitivity to change and error is measured on these."""
+"""Sensitivity to model error and to other changes."""
 OPTIMUM = Seeds(90_000_000, 100_000_000)
-"""The full-information optimum is tested on these."""
+"""Test of the full-information optimum."""
 TRANSFER = Seeds(120_000_000, 130_000_000)
-"""Two simulators are compared on these."""
+"""Comparison of two simulators."""
 FINE_TUNING = Seeds(130_000_000, 140_000_000)
-"""Agents that were tuned to a vehicle are compared on these."""
+"""Comparison of agents that were tuned to a vehicle."""
 
-TABLE = (_GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
-"""Every range, in order; none overlaps another."""
+TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
+"""All ranges, in ascending order, without overlap."""

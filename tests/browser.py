@@ -1,6 +1,6 @@
-"""A headless browser for the tests of pages: Chromium or Chrome as installed, driven by Playwright.
+"""A headless browser for the tests of pages: Chromium or Chrome as installed, controlled by Playwright.
 
-No page may use the network: whatever asks for it fails its test, and so does an error on the page's console.
+A test fails if a page uses the network, or writes an error to the console.
 """
 
 import contextlib
@@ -17,14 +17,14 @@ QUIET = ("--disable-gpu", "--disable-dev-shm-usage", "--disable-background-netwo
 
 @contextlib.contextmanager
 def browser() -> Iterator:
-    """Start the browser of this machine; skip the test where there is none, but on CI, where it must be."""
+    """Start the installed browser for a `with` block; without one skip the test, on CI fail."""
     from playwright.sync_api import sync_playwright
 
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)(f"no browser is installed: one of {', '.join(NAMES)}")
     with sync_playwright() as play:
-        # Without its sandbox, since containers and continuous integration run as root; it sees our own files alone.
+        # Without the sandbox, since containers and continuous integration run as root; it opens only our own files.
         started = play.chromium.launch(executable_path=program, chromium_sandbox=False, args=list(QUIET))
         yield started
         started.close()
@@ -32,7 +32,7 @@ def browser() -> Iterator:
 
 @contextlib.contextmanager
 def opened(started, file: Path, width: int = 1200, height: int = 900, *, mobile: bool = False) -> Iterator:
-    """Open a page of files; afterwards nothing may have asked for the network or written an error."""
+    """Open a page from a file for a `with` block, and check that the page uses no network and has no errors."""
     faults = []
     context = started.new_context(viewport={"width": width, "height": height}, is_mobile=mobile, has_touch=mobile)
     page = context.new_page()

@@ -1,4 +1,4 @@
-"""What a reader of the built documentation must find: tables that fit and sort, equations, a search that works."""
+"""Checks of the built documentation in a browser: width of pages, sorting of tables, equations, search and links."""
 
 import re
 
@@ -12,14 +12,14 @@ TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl
   return out && !scrolls && getComputedStyle(part).overflowX === "visible"
     && !part.closest(".table-wrapper, .highlight, details");
 }).map(part => part.outerHTML.slice(0, 80))"""
-"""Lists what sticks out of the window, or of its box, and cannot be scrolled."""
+"""Lists elements that are wider than the window or their box, and cannot be scrolled."""
 FLAT = """() => [...document.querySelectorAll("math")].filter(formula => {
   const {width, height} = formula.getBoundingClientRect();
   return width < 4 || height < 4;
 }).length"""
 """Counts the equations without a size."""
 WIDTH = "() => document.documentElement.scrollWidth - innerWidth"
-"""How much wider than its window a page is."""
+"""Width of a page minus the width of its window."""
 
 
 FIRST_HITS = {
@@ -33,11 +33,11 @@ FIRST_HITS = {
     "vehicle": "vehicles",
     "ROS": "on-a-vehicle",
 }
-"""The page that a reader wants who searches for these words."""
+"""Page of the first hit, by search words."""
 
 
 def check_pages(started, folder):
-    """Look at pages as on a desk and on a telephone."""
+    """Check pages on a wide and on a narrow screen."""
     for width, mobile, names in ((1200, False, WIDE), (390, True, NARROW)):
         for name in names:
             with opened(started, folder / f"{name}.html", width, mobile=mobile) as page:
@@ -48,7 +48,7 @@ def check_pages(started, folder):
 
 
 def check_sorting(started, folder):
-    """Sort a table by its errors, in both directions, and by its names."""
+    """Sort a table by errors, in both directions, and by names."""
     with opened(started, folder / "results" / "benchmark-v2.html") as page:
         first = page.locator("table.sortable").first.locator("tbody tr td").first
         heading = page.locator("table.sortable").first.locator("th", has_text="error [mm]")
@@ -61,7 +61,7 @@ def check_sorting(started, folder):
 
 
 def check_search(started, folder):
-    """Type words into the search of the site: the first hit is the page that answers them, and it can be followed."""
+    """Search for words, follow the first hit, and check its address."""
     for words, name in FIRST_HITS.items():
         if (folder / f"{name}.html").exists():
             with opened(started, folder / "index.html") as page:
@@ -73,7 +73,7 @@ def check_search(started, folder):
 
 
 def check_links(folder):
-    """See that names in the pages lead into the reference."""
+    """Check that names in pages are links to the reference."""
     equations = (folder / "paper.html").read_text(encoding="utf-8")
     assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in equations
     vehicle = (folder / "api" / "auv_gym.physics.html").read_text(encoding="utf-8")

@@ -7,5 +7,5 @@ def forget() -> None:
     """Forget compilers, folders and libraries, as a new process."""
     for function in (native.library, native.compiler):
         function.cache_clear()
-    for found in (native._hung, native._refused, native._said):
+    for found in (native._hung, native._refused, native._logged):
         found.clear()

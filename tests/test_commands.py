@@ -31,7 +31,7 @@ QUICK = {
     "bench": "--quick",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
-    "pages": "results/learning --check",
+    "pages": "vehicle-gains --check",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
@@ -40,10 +40,9 @@ QUICK = {
 """Options of the verbs that are run here."""
 CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
 """Options of the shortest run of fresh episodes."""
-"""Options of the shortest study of residuals."""
-BY_CI = {"test", "lint", "typecheck"}
+BY_CI = {"test-all", "test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "test-all", "oldest"}
+BY_WORKFLOW = {"package", "oldest"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -53,26 +52,25 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
-    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_counting_goes_on",
-    r"python -m research falsification .*": "test_safety.py::"
-    "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
+    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_later_runs_continue",
+    r"python -m research falsification .*": "test_safety.py::test_search_writes_a_scenario_in_which_the_policy_fails",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
-    r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
-    r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
+    r"python -m research suites check .*": "test_suites.py::test_generated_episodes_are_unchanged",
+    r"python -m research validation .*": "test_validation.py::test_the_command_writes_what_it_measures",
+    r"python -m research transfer .*": "test_transfer.py::test_the_command_compares_and_keeps",
     r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
     r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
-    r"python -m research bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
+    r"python -m research bound": "test_bound.py::test_a_run_continues_an_earlier_one",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
-    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
-    "test_the_tutorial_leads_to_the_leaderboard",
-    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
+    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_commands_of_the_tutorial",
+    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::test_commands_of_the_tutorial",
+    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_equal_the_class",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
@@ -108,7 +106,7 @@ def quick(line):
         chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
-        return [*words, "--episodes", "1", "--out", "floor.json"]
+        return [*words, "--episodes", "1", "--out", "bounds.json"]
     if name == "dataset":
         return [*words, "--episodes", "1"]
     if name == "video":
@@ -169,7 +167,8 @@ def test_every_verb_is_run():
     assert set(re.findall(r"^      - run: make ([\w-]+)$", workflow, re.MULTILINE)) >= BY_WORKFLOW
     assert set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE)) == set(VERBS)
     assert re.search(r"^test: lint typecheck ##", MAKEFILE, re.MULTILINE)
-    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test"
+    assert re.search(r"^test-all: test ##", MAKEFILE, re.MULTILINE)
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test-all"
 
 
 def test_help_lists_the_verbs(copy):
@@ -177,33 +176,40 @@ def test_help_lists_the_verbs(copy):
     assert called(copy, "make") == made(copy, "help")
 
 
+@pytest.mark.slow
 def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
-    printed = made(copy, "demo").splitlines()[-3:]
+    printed = made(copy, "demo").splitlines()[-4:]
     for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
         assert (copy / "runs" / "demo" / page).exists()
-    assert re.fullmatch(r"helm keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0])
-    assert printed[1].startswith("written: runs/demo/storm/video.webp")
-    assert "runs/demo/storm/video.webp" in printed[2]
+    for policy, line in zip(("nmpc", "helm"), printed, strict=False):
+        expected = rf"steady-state RMSE of {policy}: 0\.\d+ m, of backstepping: 0\.\d+ m \(1 paired episode .*"
+        assert re.fullmatch(expected, line)
+    assert printed[2].startswith("written: runs/demo/storm/video.webp")
+    assert "runs/demo/storm/video.webp" in printed[3]
     assert (copy / "runs" / "demo" / "storm" / "video.webp").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_video_is_made_in_a_quick_form(copy):
     printed = made(copy, "video").splitlines()[-3:]
     assert [line.split()[0] for line in printed] == ["nmpc", "helm", "written:"]
     assert (copy / "video.webp").exists()
 
 
+@pytest.mark.slow
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
     for case in ("with resets", "staggered", "of eleven", "first use", "decision of one vehicle: nmpc"):
         assert case in text
 
 
+@pytest.mark.slow
 def test_train_makes_an_agent(copy):
     made(copy, "train")
     assert (copy / "run" / "agent" / "agent.json").exists()
 
 
+@pytest.mark.slow
 def test_train_all_trains_those_that_are_named(copy):
     made(copy, "train-all")
     assert [run.name for run in (copy / "runs" / "shipped").iterdir()] == ["ppo-cruise"]
@@ -213,6 +219,7 @@ def test_pages_are_up_to_date(copy):
     assert made(copy, "pages").splitlines()[-1] == "all pages are up to date"
 
 
+@pytest.mark.slow
 def test_verify_says_what_is_equal(copy):
     assert re.search(r"^equal +open-loop in unmodelled-v1: \d+ numbers of 1 cells$", made(copy, "verify"), re.MULTILINE)
 
@@ -221,6 +228,7 @@ def test_examples_are_listed(copy):
     assert "rl_zoo" in made(copy, "examples")
 
 
+@pytest.mark.slow
 def test_docs_are_built_without_a_warning(copy, browser):
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")

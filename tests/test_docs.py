@@ -1,4 +1,4 @@
-"""The documentation: its Python runs and prints what it shows, its names and links exist, its table is measured."""
+"""The documentation: its examples run, its names and links exist, and its tables equal the output of commands."""
 
 import importlib
 import json
@@ -26,7 +26,7 @@ MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-BETWEEN = ["```", "```text"]  # a block of text right behind another block
+BETWEEN = ["```", "```text"]  # between a block and a following block of text
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Block:
     language: str
     text: str
     start: int  # position of its text in the page
-    end: int  # position behind its text
+    end: int  # position after its text
 
 
 def blocks(page):
@@ -50,7 +50,7 @@ def name_of(page):
 
 @pytest.fixture
 def registries():
-    """Undo what an example registers."""
+    """Remove the entries that an example registers."""
     tables = (PATHS, PRESETS, VEHICLES, POLICIES)
     before = [dict(table) for table in tables]
     yield
@@ -61,10 +61,10 @@ def registries():
 
 @pytest.mark.usefixtures("registries")
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.language == "python" for b in blocks(p))], ids=name_of)
-def test_python_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch, capsys):
-    """The blocks of a page run one after the other in one namespace; a `toml` block is the file its first line names.
+def test_python_runs_and_prints_the_shown_output(page, tmp_path, monkeypatch, capsys):
+    """The blocks of a page run in order in one namespace; a `toml` block is a file, named in its first line.
 
-    A `text` block right behind a Python block is what that prints; functions called `test_...` are run as tests.
+    A `text` block after a Python block is its output; functions called `test_...` are run as tests.
     """
     monkeypatch.chdir(tmp_path)
     shutil.copytree(TUTORIALS, TUTORIALS.relative_to(ROOT))  # with the log that one of them reads
@@ -95,7 +95,7 @@ def run(block, page, module):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_somewhere(page):
+def test_links_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if not target.startswith(("http", "#", "api/")):  # the build writes and checks those of api/
@@ -140,7 +140,7 @@ def test_pages_name_every_policy_and_scenario():
 
 
 def compared(page, width, tmp_path, capsys, monkeypatch):
-    """Run the first comparison of a page; the table that it shows must be what a terminal of that width shows."""
+    """Run the first comparison of a page, and check its table for a terminal of the given width."""
     monkeypatch.setattr(terminal, "_WIDTH", width)
     command = re.search(
         r"^(?:python evaluate\.py|auv-gym evaluate) (--policy .+)$", page.read_text("utf-8"), re.MULTILINE
@@ -153,11 +153,12 @@ def compared(page, width, tmp_path, capsys, monkeypatch):
     return {result["policy"]: result["steady_rmse_m"] for result in results}
 
 
-def test_table_of_the_quickstart_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
+def test_table_of_the_quickstart_equals_the_output_of_the_command(tmp_path, capsys, monkeypatch):
     compared(ROOT / "docs" / "quickstart.md", 80, tmp_path, capsys, monkeypatch)
 
 
-def test_numbers_of_the_readme_are_what_its_command_prints(tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_numbers_of_the_readme_equal_the_output_of_the_command(tmp_path, capsys, monkeypatch):
     errors = compared(ROOT / "README.md", 100, tmp_path, capsys, monkeypatch)
     own = [errors[policy] for policy in ("backstepping", "nmpc", "helm")]
     means, medians = ([f"{100 * error[key]:.3g}" for error in own] for key in ("mean", "median"))
@@ -171,8 +172,8 @@ def test_the_readme_is_short():
     assert len(re.findall(r"(?<!!)\[(?:!\[[^\]]*\]\([^)]*\)|[^\]!])*\]\(", text)) <= 12
 
 
-def test_page_says_how_long_the_shipped_agents_took():
-    """In minutes, as their cards have it in seconds."""
+def test_training_times_of_the_shipped_agents():
+    """The page has minutes, the cards have seconds."""
     page = ROOT / "docs" / "training.md"
     said = re.findall(r"research train-all ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
     assert [name for name, _ in said] == ["helm", "helm-any"]
@@ -182,7 +183,7 @@ def test_page_says_how_long_the_shipped_agents_took():
         assert int(minutes) == taken
 
 
-def test_columns_are_documented_as_they_are_defined():
+def test_documented_columns_equal_their_definitions():
     page = ROOT / "docs" / "metrics.md"
     text = page.read_text(encoding="utf-8")
     written = re.search(r"^\| column \| in `results.json` \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]

@@ -1,4 +1,4 @@
-"""The examples: each library has a script, an entry of the record and a row of the page; some run here."""
+"""The examples: each library has a script, an entry of the record and a row of the page."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def test_an_unknown_example_is_refused(capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sb3"])
-def test_what_is_installed_here_runs(name, tmp_path):
+def test_examples_with_installed_libraries_run(name, tmp_path):
     done = subprocess.run(
         [sys.executable, str(SCRIPTS / f"with_{name}.py"), "--quick"],
         cwd=tmp_path,
@@ -48,9 +48,9 @@ def test_what_is_installed_here_runs(name, tmp_path):
     assert "works: " in done.stdout
 
 
-@pytest.mark.filterwarnings(r"ignore:.torch\.jit:DeprecationWarning")  # what d3rlpy writes
+@pytest.mark.filterwarnings(r"ignore:.torch\.jit:DeprecationWarning")  # d3rlpy writes TorchScript
 def test_a_network_is_a_policy_for_evaluation(tmp_path, monkeypatch):
-    """The file that is written beside a network is one that `make_policy` takes."""
+    """`make_policy` loads the file that `write_policy` writes."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     import torch
     from offline_policy import write_policy

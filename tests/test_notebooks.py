@@ -1,4 +1,4 @@
-"""The notebooks run as they are, in a process and a folder of their own; the cell that installs is left out."""
+"""The notebooks run without changes, in another process and folder; the cell of the installation is left out."""
 
 import json
 import os

@@ -1,6 +1,6 @@
-"""The package: what is in the wheel, what its metadata say, its one command, and what it says where something lacks.
+"""The package: content and metadata of the wheel, its command, and messages about missing parts.
 
-`make package` does the rest: builds apart from what is installed here, and an installation that is used.
+`make package` also builds the package in another environment, installs it and uses it.
 """
 
 import ast
@@ -26,12 +26,12 @@ from baselines.tools.command_line import called, parse, run, typed
 from research import __main__ as research
 
 HERE = ("--no-isolation", "--skip-dependency-check")
-"""Build with what is installed here, in no environment of its own."""
+"""Options of a build in the present environment."""
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """Wheel and source distribution of a copy of the repository, and the wheel that the latter builds."""
+    """Wheel and source distribution of a copy of the repository, and the wheel built from the source distribution."""
     folder = tmp_path_factory.mktemp("package")
     shutil.copytree(package.ROOT, folder / "source", ignore=shutil.ignore_patterns(*package.LEFT))
     for name in ("dist", "again"):
@@ -40,7 +40,7 @@ def built(tmp_path_factory):
     return wheel, sdist, package.wheel_of(sdist, folder / "again", *HERE)
 
 
-def test_the_package_is_small_and_the_same_from_its_sources(built, capsys):
+def test_the_package_is_small_and_equal_to_that_of_the_source_distribution(built, capsys):
     package.checked(*built)
     assert "MB of at most 3" in capsys.readouterr().out
 
@@ -75,7 +75,7 @@ def test_metadata(built):
 
 
 @pytest.mark.parametrize("commands", [product.COMMANDS, research.COMMANDS], ids=["product", "research"])
-def test_every_command_is_listed_with_a_line_and_has_a_main(commands):
+def test_all_commands_have_a_description_and_a_main_function(commands):
     text = product.usage("auv-gym", commands)
     for name, (module, extras) in commands.items():
         assert re.search(rf"^  {name} +\w[^`]{{15,90}}$", text, re.MULTILINE), name
@@ -114,7 +114,7 @@ def test_the_command(words, status, out, err, monkeypatch, capsys):
     assert printed.err.count("\n") == (1 if err else 0)
 
 
-def test_help_and_results_name_the_program_as_it_was_called(monkeypatch, capsys):
+def test_help_and_results_have_the_typed_name_of_the_program(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["baselines/__main__.py", "evaluate", "--help"])
     with pytest.raises(SystemExit, match="0"):
         product.main()
@@ -127,14 +127,14 @@ def test_help_and_results_name_the_program_as_it_was_called(monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("name", ["tune", "identify", "export", "video", "dataset"])
-def test_the_example_in_the_help_of_a_command_is_understood(name):
+def test_the_example_in_the_help_of_a_command_is_valid(name):
     options = import_module(product.COMMANDS[name].module).Options
     program, command, *words = shlex.split(re.search(r"Example: (.*)", options.__doc__)[1])
     assert (program, command) == ("auv-gym", name)
     assert isinstance(parse(options, words, program), options)
 
 
-def test_the_list_of_commands_imports_none_of_them():
+def test_the_list_of_commands_does_not_import_them():
     code = "import sys, baselines.__main__ as m; m.usage('x', m.COMMANDS); print(*sys.modules)"
     environment = os.environ | {"PYTHONPATH": str(package.ROOT)}
     loaded = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
@@ -143,7 +143,7 @@ def test_the_list_of_commands_imports_none_of_them():
     }
 
 
-def test_what_to_type_for_an_extra(monkeypatch, tmp_path):
+def test_messages_of_missing_extras(monkeypatch, tmp_path):
     monkeypatch.chdir(package.ROOT)
     assert installation.install("train") == "pip install -e '.[train]'"
     monkeypatch.chdir(tmp_path)
@@ -159,13 +159,13 @@ def test_what_to_type_for_an_extra(monkeypatch, tmp_path):
         assert installation.install("train") == f"pip install 'auv-gym[train]{origin}'"
 
 
-def test_every_hint_is_made_in_one_place():
-    files = (p for room in ("auv_gym", "baselines") for p in (package.ROOT / room).rglob("*.py"))
+def test_one_module_makes_all_messages_about_extras():
+    files = (p for name in ("auv_gym", "baselines") for p in (package.ROOT / name).rglob("*.py"))
     saying = {p.name for p in files if "pip install" in p.read_text(encoding="utf-8")}
     assert saying == {"installation.py"}
 
 
-def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys):
+def test_messages_of_an_installed_package_without_recorded_rows(monkeypatch, tmp_path, capsys):
     for module in (recorded, suites):
         monkeypatch.setattr(module, "checkout", lambda: None)
     monkeypatch.setattr(installation, "ROOT", tmp_path)

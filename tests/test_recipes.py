@@ -54,9 +54,9 @@ from baselines.evaluation.rollout import make_env
 
 scenario = replace(PRESETS["slow-calm"], sensors=Sensors(outages=20.0, outage_time=1.0))
 policy = make_policy("backstepping")
-env, lanes = make_env(scenario), make_track_vector_env(2, scenario)
-(observation, _), (rows, _) = env.reset(seed=0), lanes.reset(seed=0)
-assert env.observation_space.shape == (19,) and lanes.single_observation_space.shape == (19,)
+env, vector_env = make_env(scenario), make_track_vector_env(2, scenario)
+(observation, _), (rows, _) = env.reset(seed=0), vector_env.reset(seed=0)
+assert env.observation_space.shape == (19,) and vector_env.single_observation_space.shape == (19,)
 fixes = []
 for _ in range(300):
     assert env.observation_space.contains(observation)
@@ -64,7 +64,7 @@ for _ in range(300):
     fixes.append(decode_observation(observation).fix)
     assert fixes[-1] == decode_observation(rows).fix[0]
     observation, *_ = env.step(policy.predict(observation)[0])
-    rows, *_ = lanes.step(policy.predict(rows)[0])
+    rows, *_ = vector_env.step(policy.predict(rows)[0])
 assert set(fixes) == {0.0, 1.0}, set(fixes)
 print(env.unwrapped.__doc__)
 """
@@ -81,10 +81,10 @@ scenario = replace(plain, effort_weight=0.5)
 assert Scenario.from_dict(scenario.to_dict()) == scenario and "effort_weight" not in plain.to_dict()
 rewards = {}
 for s in (plain, scenario):
-    env, lanes = make_env(s), make_track_vector_env(2, [plain, s])
-    env.reset(seed=1), lanes.reset(seed=[1, 1])
+    env, vector_env = make_env(s), make_track_vector_env(2, [plain, s])
+    env.reset(seed=1), vector_env.reset(seed=[1, 1])
     rewards[s.effort_weight] = env.step(np.array((0.4, -0.2)))[1]
-    row = lanes.step(np.full((2, 2), (0.4, -0.2)))[1]
+    row = vector_env.step(np.full((2, 2), (0.4, -0.2)))[1]
     np.testing.assert_allclose(row, (rewards[0.0], rewards[s.effort_weight]), atol=1e-12)
 np.testing.assert_allclose(rewards[0.0] - rewards[0.5], 0.5 * (0.4**2 + 0.2**2), atol=1e-12)
 """

@@ -1,4 +1,4 @@
-"""Two tables say which seeds are for what, and no module has seeds of its own."""
+"""Two tables define the ranges of seeds and their use; other modules define no seeds."""
 
 import itertools
 import re
@@ -14,18 +14,18 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize("seeds", [product, studies])
-def test_no_range_overlaps_another(seeds):
+def test_ranges_do_not_overlap(seeds):
     for a, b in itertools.pairwise(seeds.TABLE):
         assert a.first < a.end <= b.first < b.end
     assert set(seeds.TABLE) == {value for value in vars(seeds).values() if isinstance(value, product.Seeds)}
 
 
-def test_studies_keep_to_their_part():
+def test_seeds_of_studies_are_in_their_range():
     assert all(product.STUDIES.holds(own.first, own.end - own.first) for own in studies.TABLE)
 
 
-def test_no_module_has_seeds_beside_the_tables():
-    """A number of seven digits beside the word seed is one of a table, or the key of a frozen suite."""
+def test_only_the_tables_define_seeds():
+    """Elsewhere no number of seven digits follows the word seed, except in the builder of frozen suites."""
     for file in (*ROOT.glob("baselines/**/*.py"), *ROOT.glob("research/**/*.py"), *ROOT.glob("*.py")):
         if file.name in ("seeds.py", "builder.py"):
             continue
@@ -33,7 +33,7 @@ def test_no_module_has_seeds_beside_the_tables():
         assert not re.search(r"(?i)seed\w*(: \w+)? = \d[\d_]{6,}", text), file
 
 
-def test_a_range_knows_what_it_holds():
+def test_a_range_holds_its_seeds():
     assert studies.HELD_OUT.holds(studies.HELD_OUT.first, 64)
     assert not studies.HELD_OUT.holds(studies.HELD_OUT.end - 1, 2)
     assert not studies.HELD_OUT.holds(studies.HELD_OUT.first - 1)

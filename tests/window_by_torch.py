@@ -53,14 +53,14 @@ class Setting:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
         scenarios = [PRESETS[name] for name in names]
-        hulls = variants_of(scenarios, 1.0, _SEED) if inputs.hull else ()
-        self.vehicle_names = TrainingVehicles(scenarios, _SEED, steps, inputs.preview, hulls)
-        believer = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
-        self.loop = ClosedLoop(law, inputs, self.vehicle_names.parts, believer)
+        variants = variants_of(scenarios, 1.0, _SEED) if inputs.hull else ()
+        self.vehicles = TrainingVehicles(scenarios, _SEED, steps, inputs.preview, variants)
+        informed = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
+        self.loop = ClosedLoop(law, inputs, self.vehicles.parts, informed)
         self.net = net
         kernels, objective = LoopKernels(self.loop, self.exact, precision), Objective(LOSS, **options)
         self.window = Window(kernels, net, len(names), steps, AUTHORITY, objective)
-        self.carried: Carried = self.vehicle_names.reset(net.sizes.memory, inputs.memory)
+        self.carried: Carried = self.vehicles.reset(net.sizes.memory, inputs.memory)
         self._memory: Any = None
 
     def act(self, observation: Any) -> Any:
@@ -71,8 +71,8 @@ class Setting:
     def run(self) -> tuple[float, Any]:
         """Return the mean loss and the squared error at the end of the next window; the gradient is the network's."""
         act = None if self.exact else lambda _, observation: self.act(observation)
-        given = (*self.vehicle_names.window(), self.vehicle_names.constants, act)
-        loss, _, carried, squared_error = self.window.run(self.carried, *given, known=self.vehicle_names.known)
+        given = (*self.vehicles.window(), self.vehicles.constants, act)
+        loss, _, carried, squared_error = self.window.run(self.carried, *given, known=self.vehicles.known)
         self.carried = Carried(*(x.copy() for x in carried))
         return loss, squared_error
 
@@ -85,9 +85,9 @@ class Setting:
 
         base: Any
         state, observation, integrals, correction = map(rows, self.carried[:-1])
-        known = rows(self.vehicle_names.known)
+        known = rows(self.vehicles.known)
         hidden, total = torch.tensor(self.carried.hidden, dtype=dtype).T, torch.zeros(())
-        for ahead, sample in zip(*self.vehicle_names.window(), strict=True):
+        for ahead, sample in zip(*self.vehicles.window(), strict=True):
             base = self.loop.expert(observation, TENSORS, known)
             if not self.exact:  # the expert's value, the law's slope
                 value = rows(self.act(torch.stack(observation).detach()))
@@ -96,7 +96,7 @@ class Setting:
             features, integrals = self.loop.features(*seen, TENSORS, known)
             output, hidden = applied(self.net, torch.stack(features, dim=1), hidden)
             correction = output.unbind(dim=1)
-            outside = rows(sample), rows(self.vehicle_names.constants), AUTHORITY, LOSS
+            outside = rows(sample), rows(self.vehicles.constants), AUTHORITY, LOSS
             state, observation, _, loss = self.loop.move(state, base, correction, *outside, TENSORS)
             total = total + loss.mean() / self.window.steps
         return total

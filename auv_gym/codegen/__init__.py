@@ -1,1 +1,1 @@
-"""Equations as data: traced once on symbols, differentiated, and printed as Python, NumPy or C."""
+"""Code generation: equations are traced once on symbols, differentiated, and printed as Python, NumPy or C."""

@@ -1,4 +1,4 @@
-"""The folder where compiled code is kept between processes, and the check that no other user can write to it."""
+"""The folder where compiled code is kept between processes, and the check that other users cannot write to it."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from pathlib import Path
 from typing import BinaryIO
 
 CACHE = "AUV_GYM_CACHE"
-"""Environment variable that names another folder for compiled code than that of the user's caches."""
+"""Environment variable with the folder of compiled code; by default a folder in the user's cache."""
 BUILD = "build-"
-"""What the name of a folder begins with in which something is being built."""
+"""Prefix of the names of temporary folders in which libraries are built."""
 DAY = 86400.0  # [s]
 UNUSED = 90 * DAY
-"""Age [s] since its last use at which a library is removed."""
+"""Time since its last use [s] after which a library is removed."""
 LEFTOVER = 3600.0
-"""Age [s] at which a folder of `BUILD` is that of a process that was killed."""
-_LIBRARY = re.compile(r"[0-9a-f]{32}\.so")  # names of libraries
+"""Age [s] after which a folder with the prefix `BUILD` is removed; its process was killed."""
+_LIBRARY = re.compile(r"[0-9a-f]{32}\.so")  # file names of libraries
 
 
 def cache_folders() -> Iterator[Path]:
-    """Yield the folders where what is made once may be kept: the cache, then one that ends with the process.
+    """Yield the folders where compiled code may be kept: the cache, then a temporary folder of this process.
 
-    As the XDG specification says of its variables, one that is empty or a relative path counts as not set. Where no
-    temporary folder can be made either, there is none.
+    An environment variable that is empty or a relative path counts as not set, as in the XDG specification. A folder
+    that cannot be determined or made is left out.
     """
     own, shared = (Path(os.environ.get(name, "")) for name in (CACHE, "XDG_CACHE_HOME"))
     if own.is_absolute():
@@ -40,7 +40,7 @@ def cache_folders() -> Iterator[Path]:
     elif shared.is_absolute():
         yield shared / "auv_gym"
     else:
-        with suppress(RuntimeError):  # there is no home
+        with suppress(RuntimeError):  # the user has no home folder
             if (home := Path.home()).is_absolute():
                 yield home / ".cache" / "auv_gym"
     with suppress(OSError):
@@ -49,7 +49,7 @@ def cache_folders() -> Iterator[Path]:
 
 @cache
 def _temporary() -> Path:
-    """Return a new folder that no other user can write to; it is removed at the end of the process."""
+    """Return a new folder that other users cannot write to; it is removed at the end of the process."""
     folder = tempfile.TemporaryDirectory(prefix="auv_gym-")
     _open_folders.append(folder)
     return Path(folder.name)
@@ -59,29 +59,29 @@ _open_folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def own_folder(folder: Path) -> Path:
-    """Return a folder, made if need be, once it is known that only this user and root can write to it.
+    """Return a folder after a check that only this user and root can write to it; make it if it does not exist.
 
     Raises:
-        OSError: it cannot be made, is a link, belongs to another user, or others may write to it.
+        OSError: the folder cannot be made, is a link, belongs to another user, or other users may write to it.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    if sys.platform != "win32":  # where a folder cannot be opened, and has no mode
+    if sys.platform != "win32":  # on Windows a folder cannot be opened and has no mode
         os.close(_opened(str(folder), os.O_RDONLY | os.O_DIRECTORY))
     return folder
 
 
 def open_own(file: Path) -> BinaryIO:
-    """Return a file open to be read, once it is known that only this user and root can write to it and to its folder.
+    """Open a file for reading after a check that only this user and root can write to it and to its folder.
 
     Raises:
-        OSError: see `own_folder`, for the folder and for the file.
+        OSError: the folder or the file does not pass the check, see `own_folder`.
     """
     own_folder(file.parent)
     return open(file, "rb", opener=_opened)
 
 
 def _opened(path: str, flags: int) -> int:
-    """Return the descriptor of a file or folder that is no link and that only this user or root can write to."""
+    """Return the descriptor of a file or folder; raise OSError if it is a link or other users can write to it."""
     if sys.platform == "win32":
         return os.open(path, flags)
     handle = os.open(path, flags | os.O_NOFOLLOW)
@@ -89,24 +89,24 @@ def _opened(path: str, flags: int) -> int:
     if state.st_uid not in (0, os.geteuid()):
         reason = "it belongs to another user"
     elif state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        reason = "others may write to it"
+        reason = "other users may write to it"
     if reason:
         os.close(handle)
         raise PermissionError(errno.EPERM, reason, path)
     return handle
 
 
-def used(file: Path) -> None:
-    """Note that a file is in use, once a day."""
-    with suppress(OSError):  # of root's in a folder of root's
+def mark_used(file: Path) -> None:
+    """Set the modification time of a file to now, at most once a day."""
+    with suppress(OSError):  # the file and its folder belong to root
         if time.time() - file.stat().st_mtime > DAY:
             os.utime(file)
 
 
-def tidy(folder: Path) -> None:
-    """Remove libraries that have not been used for `UNUSED`, and what killed builds have left."""
+def remove_unused(folder: Path) -> None:
+    """Remove libraries that have not been used for `UNUSED`, and the folders of builds that were killed."""
     for entry in folder.iterdir():
-        with suppress(OSError):  # another process was faster
+        with suppress(OSError):  # another process has removed it
             age = time.time() - entry.lstat().st_mtime
             if _LIBRARY.fullmatch(entry.name) and age > UNUSED:
                 entry.unlink()

@@ -1,4 +1,4 @@
-"""Derivatives of a graph as further nodes of the same graph: reverse mode for gradients, forward mode for Jacobians."""
+"""Derivatives of a graph as nodes of the same graph: reverse mode for gradients, forward mode for Jacobians."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 from auv_gym.codegen.graph import SYMBOLS, TRUTHS, Graph, Symbol, arguments_of
 
-Pulled = tuple[Any, ...]
-"""What each argument of an operation contributes to: its adjoint's share, None where there is none."""
+Pullback = tuple[Any, ...]
+"""The contribution of an operation to the adjoint of each of its arguments; None where the derivative is zero."""
 
 
-def _clip(_y: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
+def _clip(_y: Symbol, a: Sequence[Symbol], g: Symbol) -> Pullback:
     x, low, high = a
     inside = SYMBOLS.where(x < low, 0.0, SYMBOLS.where(x > high, 0.0, g))
     below = None if low.value is not None else SYMBOLS.where(x < low, g, 0.0)
@@ -19,7 +19,7 @@ def _clip(_y: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
     return inside, below, above
 
 
-PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
+PULLBACKS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pullback]] = {
     "add": lambda _y, _a, g: (g, g),
     "sub": lambda _y, _a, g: (g, -g),
     "mul": lambda _y, a, g: (g * a[1], g * a[0]),
@@ -40,30 +40,31 @@ PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
     "clip": _clip,
     "where": lambda _y, a, g: (None, SYMBOLS.where(a[0], g, 0.0), SYMBOLS.where(a[0], 0.0, g)),
 }
-"""For each operation y = f(a) and an adjoint g of y: g times the derivatives of f, in the order of the arguments.
+"""For each operation y = f(a) the function of y, a and the adjoint g of y that returns g times the derivatives of f.
 
-At a kink the derivative is that of torch: 0 for |0|, 1 at the ends of `clip`."""
+The derivatives are in the order of the arguments. At a kink they are those of torch: 0 for |0|, 1 at the ends of
+`clip`."""
 
 
 def gradient(outputs: Sequence[Symbol], adjoints: Sequence[Any], inputs: Sequence[Symbol]) -> tuple[Symbol, ...]:
     """Return sum_k adjoint_k d output_k / d input_j for each input, by reverse mode.
 
     Args:
-        outputs: what is differentiated.
-        adjoints: what each output counts, symbols of the same graph or numbers.
-        inputs: any nodes of the graph; what lies behind one does not go on to what it is made of.
+        outputs: the symbols to differentiate.
+        adjoints: the weight of each output; symbols of the same graph, or numbers.
+        inputs: any nodes of the graph; they are treated as independent variables.
     """
     graph = outputs[0].graph
-    ends = {s.index for s in inputs}
+    variables = {s.index for s in inputs}
     order = graph.needed(s.index for s in outputs)
-    active = _active(graph, order, ends)
+    active = _active(graph, order, variables)
     bar: dict[int, Symbol] = {}
     for y, g in zip(outputs, adjoints, strict=True):
         _add(bar, y.index, graph.symbol(g))
     for i in reversed(order):
-        if i in bar and i in active and i not in ends:
+        if i in bar and i in active and i not in variables:
             y = Symbol(graph, i)
-            for argument, share in zip(y.arguments, PULLS[y.node[0]](y, y.arguments, bar[i]), strict=True):
+            for argument, share in zip(y.arguments, PULLBACKS[y.node[0]](y, y.arguments, bar[i]), strict=True):
                 if share is not None and argument.index in active:
                     _add(bar, argument.index, graph.symbol(share))
     zero = graph.constant(0.0)
@@ -71,11 +72,11 @@ def gradient(outputs: Sequence[Symbol], adjoints: Sequence[Any], inputs: Sequenc
 
 
 def directional(outputs: Sequence[Symbol], directions: Mapping[int, Any]) -> tuple[Symbol, ...]:
-    """Return the derivative of each output along a direction, by forward mode.
+    """Return the directional derivative of each output, by forward mode.
 
     Args:
-        outputs: what is differentiated.
-        directions: by the index of a node, how fast it changes: a symbol of the same graph or a number.
+        outputs: the symbols to differentiate.
+        directions: the component of the direction for each node, by its index; symbols of the same graph, or numbers.
     """
     graph = outputs[0].graph
     one, zero = graph.constant(1.0), graph.constant(0.0)
@@ -85,24 +86,27 @@ def directional(outputs: Sequence[Symbol], directions: Mapping[int, Any]) -> tup
     for i in order:
         if i in active and i not in dot:
             y = Symbol(graph, i)
-            for argument, slope in zip(y.arguments, PULLS[y.node[0]](y, y.arguments, one), strict=True):
+            for argument, slope in zip(y.arguments, PULLBACKS[y.node[0]](y, y.arguments, one), strict=True):
                 if slope is not None and argument.index in dot:
                     _add(dot, i, slope * dot[argument.index])
     return tuple(dot.get(s.index, zero) for s in outputs)
 
 
 def jacobian(outputs: Sequence[Symbol], inputs: Sequence[Symbol]) -> tuple[tuple[Symbol, ...], ...]:
-    """Return d output_k / d input_j, a row for each output, by forward mode."""
+    """Return d output_k / d input_j by forward mode, one row for each output."""
     columns = [directional(outputs, {s.index: 1.0}) for s in inputs]
     return tuple(zip(*columns, strict=True))
 
 
-def _active(graph: Graph, order: Sequence[int], ends: set[int]) -> set[int]:
-    """Return the nodes whose value changes when one of `ends` does, those among them; truth values do not change."""
+def _active(graph: Graph, order: Sequence[int], variables: set[int]) -> set[int]:
+    """Return the nodes of `order` that depend on one of the nodes `variables`, these included.
+
+    The dependence through truth values is left out, since its derivative is zero.
+    """
     found: set[int] = set()
     for i in order:
         node = graph.nodes[i]
-        if i in ends or (node[0] not in TRUTHS and any(a in found for a in arguments_of(node))):
+        if i in variables or (node[0] not in TRUTHS and any(a in found for a in arguments_of(node))):
             found.add(i)
     return found
 

@@ -1,10 +1,10 @@
 """Elementary functions made of additions and products: the same bits on every machine, for one vehicle or thousands.
 
-The C library's differ from machine to machine and keep a compiler from computing several vehicles at once. An angle is
-brought into [-pi/4, pi/4] by the multiple of pi/2 in three parts (W. J. Cody and W. Waite, Software Manual for the
-Elementary Functions, 1980) and the polynomials of fdlibm (Sun Microsystems, 1993) take it from there. In double
-precision they are within 1e-15 of the exact ones for angles up to 10,000 rad. The exponential function is fdlibm's, and
-the arctangent that of Cephes (S. L. Moshier, Methods and Programs for Mathematical Functions, 1989).
+The functions of the C library differ between machines, and a compiler cannot vectorise them. Sine and cosine reduce the
+angle to [-pi/4, pi/4] with pi/2 in three parts (W. J. Cody and W. Waite, Software Manual for the Elementary Functions,
+1980) and then use the polynomials of fdlibm (Sun Microsystems, 1993). In double precision their error is below 1e-15
+for angles up to 10,000 rad. The exponential function is that of fdlibm. The arctangent is that of Cephes (S. L.
+Moshier, Methods and Programs for Mathematical Functions, 1989).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HALF_PI = {
     "float64": (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624871116645580e-21),
     "float32": (1.5703125, 4.837512969970703125e-4, 7.54978995489188216e-8),
 }
-"""pi/2 in three parts, by precision; a product of the first two with a small integer is exact."""
+"""pi/2 as a sum of three parts, by precision; products of the first two with small integers are exact."""
 SINE = (
     -1.66666666666666324348e-01,
     8.33333333332248946124e-03,
@@ -28,7 +28,7 @@ SINE = (
     -2.50507602534068634195e-08,
     1.58969099521155010221e-10,
 )
-"""Of (sin(r) - r) / r^3 in powers of r^2."""
+"""Coefficients of (sin(r) - r) / r^3 in powers of r^2."""
 COSINE = (
     4.16666666666666019037e-02,
     -1.38888888888741095749e-03,
@@ -37,13 +37,13 @@ COSINE = (
     2.08757232129817482790e-09,
     -1.13596475577881948265e-11,
 )
-"""Of (cos(r) - 1 + r^2 / 2) / r^4 in powers of r^2."""
+"""Coefficients of (cos(r) - 1 + r^2 / 2) / r^4 in powers of r^2."""
 
 LN_2 = {
     "float64": (6.93147180369123816490e-01, 1.90821492927058770002e-10),
     "float32": (0.693359375, -2.12194440e-4),
 }
-"""ln(2) in two parts, by precision."""
+"""ln(2) as a sum of two parts, by precision."""
 EXPONENTIAL = (
     1.66666666666666019037e-01,
     -2.77777777770155933842e-03,
@@ -51,9 +51,9 @@ EXPONENTIAL = (
     -1.65339022054652515390e-06,
     4.13813679705723846039e-08,
 )
-"""Coefficients of r coth(r/2) - 2 in r^2, from the first power on."""
+"""Coefficients of r coth(r/2) - 2 in powers of r^2, beginning with r^2."""
 LEAST_POWER = {"float64": -1022, "float32": -126}
-"""Exponent of the least normal number, by precision; that of the largest one is 1 more than its magnitude."""
+"""Exponent of the smallest normal number, by precision. The largest exponent is 1 minus it."""
 ARCTANGENT = (
     -6.485021904942025371773e01,
     -1.228866684490136173410e02,
@@ -61,8 +61,8 @@ ARCTANGENT = (
     -1.615753718733365076637e01,
     -8.750608600031904122785e-01,
 )
-"""Coefficients of a numerator in t^2; over `ARCTANGENT_BELOW` it is (arctan(t)/t - 1)/t^2 up to t = 0.66."""
-ARCTANGENT_BELOW = (
+"""Coefficients in powers of t^2 of the numerator of (arctan(t)/t - 1)/t^2, a rational function for t up to 0.66."""
+ARCTANGENT_DENOMINATOR = (
     1.945506571482613964425e02,
     4.853903996359136964868e02,
     4.328810604912902668951e02,
@@ -70,7 +70,7 @@ ARCTANGENT_BELOW = (
     2.485846490142306297962e01,
     1.0,
 )
-"""Coefficients of the denominator."""
+"""Coefficients in powers of t^2 of the denominator."""
 
 
 def polynomial(z: Number, coefficients: Sequence[float]) -> Number:
@@ -85,8 +85,8 @@ def sine_cosine(angle: Number, precision: str, ns: Namespace) -> tuple[Number, N
     """Return the sine and the cosine of an angle [rad].
 
     Args:
-        angle: of any size; precision is lost with it, as always, and beyond 1e6 rad the result is only bounded.
-        precision: "float64" or "float32", of the numbers that it will be computed with.
+        angle: [rad]; the error grows with its magnitude, and beyond 1e6 rad the result is only bounded.
+        precision: "float64" or "float32", the precision of the computation.
         ns: the namespace of the numbers.
     """
     first, second, third = HALF_PI[precision]
@@ -98,13 +98,13 @@ def sine_cosine(angle: Number, precision: str, ns: Namespace) -> tuple[Number, N
     one = 1.0 - half
     c = one + ((1.0 - one - half) + z * z * polynomial(z, COSINE))
     pairs = ns.floor(0.5 * k)
-    odd, turned = k > 2.0 * pairs, pairs > 2.0 * ns.floor(0.5 * pairs)
+    odd, opposite = k > 2.0 * pairs, pairs > 2.0 * ns.floor(0.5 * pairs)
     s, c = ns.where(odd, c, s), ns.where(odd, -s, c)
-    return ns.where(turned, -s, s), ns.where(turned, -c, c)
+    return ns.where(opposite, -s, s), ns.where(opposite, -c, c)
 
 
 def exponential(x: Number, precision: str, ns: Namespace) -> Number:
-    """Return exp(x), zero or infinite beyond the normal numbers; arguments are those of `sine_cosine`."""
+    """Return exp(x); zero or infinity outside of the range of normal numbers. See `sine_cosine` for the arguments."""
     least = LEAST_POWER[precision]
     low, high = (least - 0.5) * math.log(2), (0.5 - least) * math.log(2)
     first, second = LN_2[precision]
@@ -119,33 +119,36 @@ def exponential(x: Number, precision: str, ns: Namespace) -> Number:
 
 
 def _power_of_two(k: Number, least: int, ns: Namespace) -> Number:
-    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: a choice would keep gcc from vectorising."""
-    left, power, bits = k - float(least), 2.0**least, (1 - least).bit_length()
+    """Return 2^k for an integer k from `least` to 1 - `least`.
+
+    It is a product of one factor for each bit of k - `least`. With a selection gcc would not vectorise.
+    """
+    rest, power, bits = k - float(least), 2.0**least, (1 - least).bit_length()
     for j in range(bits + 1):
-        half = ns.floor(0.5 * left)
-        bit, left = left - 2.0 * half, half
-        for _ in range(1 + (j == bits)):  # twice the largest power that is a number
+        half = ns.floor(0.5 * rest)
+        bit, rest = rest - 2.0 * half, half
+        for _ in range(1 + (j == bits)):  # the highest factor would overflow: multiply twice by its root
             power = power * (1.0 + bit * (2.0**2 ** min(j, bits - 1) - 1.0))
     return power
 
 
 def hyperbolic_tangent(x: Number, precision: str, ns: Namespace) -> Number:
-    """Return tanh(x), within a rounding error of 1; arguments are those of `sine_cosine`."""
+    """Return tanh(x); its error is a rounding error of 1. See `sine_cosine` for the arguments."""
     e = exponential(-2.0 * abs(x), precision, ns)
     size = (1.0 - e) / (1.0 + e)
     return ns.where(x < 0.0, -size, size)
 
 
 def arctangent(y: Number, x: Number, ns: Namespace) -> Number:
-    """Return the angle [rad] of (x, y) in (-pi, pi], zero for no direction at all; the sign of a zero is ignored."""
+    """Return the angle [rad] of the vector (x, y) in (-pi, pi]; 0 for the zero vector. Signs of zeros are ignored."""
     a, b = abs(y), abs(x)
     steep = a > b
     small, large = ns.where(steep, b, a), ns.where(steep, a, b)
     diagonal = small > 0.66 * large
     above, below = ns.where(diagonal, small - large, small), ns.where(diagonal, small + large, large)
-    t = above / ns.where(below > 0.0, below, ns.where(below <= 0.0, 1.0, below))  # no number stays none
+    t = above / ns.where(below > 0.0, below, ns.where(below <= 0.0, 1.0, below))  # nan stays nan
     z = t * t
-    angle = t + t * (z * polynomial(z, ARCTANGENT) / polynomial(z, ARCTANGENT_BELOW))
+    angle = t + t * (z * polynomial(z, ARCTANGENT) / polynomial(z, ARCTANGENT_DENOMINATOR))
     angle = ns.where(diagonal, angle + 0.25 * math.pi, angle)
     angle = ns.where(steep, 0.5 * math.pi - angle, angle)
     angle = ns.where(x < 0.0, math.pi - angle, angle)
@@ -153,7 +156,7 @@ def arctangent(y: Number, x: Number, ns: Namespace) -> Number:
 
 
 def lowered(graph: Graph, outputs: Sequence[Symbol], precision: str) -> list[Symbol]:
-    """Return the outputs with every function of this module written out, in the same graph."""
+    """Return the outputs, in the same graph, with the functions of this module expanded to arithmetic."""
     new: dict[int, Symbol] = {}
     for i in graph.needed(s.index for s in outputs):
         old = Symbol(graph, i)

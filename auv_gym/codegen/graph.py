@@ -1,12 +1,12 @@
 """A graph of arithmetic, recorded by running an equation on symbols.
 
 The project's equations take components and a namespace of elementary functions (`auv_gym.physics.namespaces`). With
-symbols for numbers and `SYMBOLS` for the namespace they compute nothing: each operation adds a node to a graph, or
-finds the node that is there already, so common subexpressions are merged as they arise. Operations on constants are
-carried out.
+symbols as numbers and `SYMBOLS` as the namespace they record a graph. Each operation adds a node, or reuses the node of
+the same operation, so common subexpressions are merged. Operations on constants are evaluated at once.
 
-Only what is exact in floating point is simplified (x * 1, x / 1, x - 0, -(-x)), and a sum keeps its order: a printed
-graph gives the numbers of the equation itself, bit for bit. `structural` allows more where a matrix is mostly zero.
+Only simplifications that are exact in floating point are made (x * 1, x / 1, x - 0, -(-x)), and the order of a sum is
+kept. The printed code of a graph therefore gives the same bits as the equation. `structural` allows further
+simplifications, for sparse matrices.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Key = tuple[Any, ...]
 
 
 def floor(x: float) -> float:
-    """Return the largest whole number that is not above x; of an infinity that itself, as C and NumPy do."""
+    """Return the largest integer that is at most x; for an infinity x itself, as in C and NumPy."""
     return x // 1.0 if -math.inf < x < math.inf else x
 
 
-EXACT: dict[str, Callable[..., Any]] = {
+OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
@@ -52,17 +52,17 @@ EXACT: dict[str, Callable[..., Any]] = {
     "or": lambda a, b: a or b,
     "not": lambda a: not a,
 }
-"""What each operation means, on floats; `single` rounds to single precision and back."""
+"""The functions of the operations on floats; `single` rounds to single precision."""
 TRUTHS = frozenset(("lt", "le", "and", "or", "not"))
-"""Operations that give a truth value."""
+"""Operations with a truth value as result."""
 COMMUTATIVE = frozenset(("add", "mul", "and", "or"))
-"""Operations whose arguments may change places."""
+"""Operations whose arguments can be exchanged."""
 
 
-def carried_out(operation: str, *numbers: Any) -> Any:
-    """Return what an operation of `EXACT` gives for numbers; inf or nan where Python raises, as in C and NumPy."""
+def evaluated(operation: str, *numbers: Any) -> Any:
+    """Return the result of an operation on numbers; inf or nan where Python raises an error, as in C and NumPy."""
     try:
-        return EXACT[operation](*numbers)
+        return OPERATIONS[operation](*numbers)
     except (ArithmeticError, ValueError):
         with np.errstate(all="ignore"):
             return float(getattr(np, "divide" if operation == "div" else operation)(*numbers))
@@ -70,10 +70,11 @@ def carried_out(operation: str, *numbers: Any) -> Any:
 
 @dataclass
 class Graph:
-    """Nodes in the order in which they were recorded, which is one in which they can be computed.
+    """A list of nodes in the order of their recording, in which they can be computed.
 
-    A node is its operation and the indices of its arguments; ("input", name) and ("constant", value, text) have none.
-    With `structural`, x + 0 is x and x * 0 is 0, which is wrong for infinities and the sign of zero alone.
+    A node is a tuple of its operation and the indices of its arguments. The nodes ("input", name) and
+    ("constant", value, text) have no arguments. With `structural`, x + 0 becomes x and x * 0 becomes 0; this is wrong
+    only for infinities, nan and the sign of zero.
     """
 
     structural: bool = False
@@ -81,19 +82,19 @@ class Graph:
     _index: dict[Key, int] = field(default_factory=dict)
 
     def input(self, name: str) -> Symbol:
-        """Return the symbol of an input; the same name is the same input."""
+        """Return the symbol of an input; equal names are the same input."""
         return self._node(("input", name))
 
     def constant(self, value: float | bool) -> Symbol:
         """Return the symbol of a number or a truth value."""
         value = value if isinstance(value, bool) else float(value)
-        return self._node(("constant", value, repr(value)))  # as keys True is 1.0, and -0.0 is 0.0
+        return self._node(("constant", value, repr(value)))  # the text distinguishes True and 1.0, -0.0 and 0.0
 
     def symbol(self, value: Any) -> Symbol:
-        """Return a number as a symbol of this graph, a symbol as it is.
+        """Return a number as a constant of this graph; return a symbol unchanged.
 
         Raises:
-            ValueError: the symbol is of another graph.
+            ValueError: the symbol belongs to another graph.
         """
         if not isinstance(value, Symbol):
             return self.constant(value)
@@ -102,11 +103,11 @@ class Graph:
         return value
 
     def apply(self, operation: str, *arguments: Any) -> Symbol:
-        """Return what an operation of `EXACT` gives for symbols or numbers."""
+        """Return the symbol of an operation of `OPERATIONS` on symbols or numbers."""
         symbols = [self.symbol(a) for a in arguments]
         known = [s.value for s in symbols]
         if None not in known:
-            return self.constant(carried_out(operation, *known))
+            return self.constant(evaluated(operation, *known))
         if (simple := _simplified(operation, symbols, known)) is not None:
             return simple
         if self.structural and (simple := _without_zeros(operation, symbols, known)) is not None:
@@ -123,7 +124,7 @@ class Graph:
         return Symbol(self, self._index[key])
 
     def needed(self, outputs: Iterable[int]) -> list[int]:
-        """Return the nodes that the outputs depend on, themselves among them, in the order in which they compute."""
+        """Return the indices of the outputs and of all nodes that they depend on, in the order of computation."""
         wanted, stack = set(), list(outputs)
         while stack:
             if (i := stack.pop()) not in wanted:
@@ -138,7 +139,7 @@ def arguments_of(node: Key) -> tuple[int, ...]:
 
 
 def _simplified(operation: str, symbols: Sequence[Symbol], known: Sequence[Any]) -> Symbol | None:
-    """Return the symbol that an operation gives without being carried out, where that is exact; else None."""
+    """Return the symbol that is exactly equal to the result of an operation; None if the operation is needed."""
     if operation == "mul" and 1.0 in known:
         return symbols[1 - known.index(1.0)]
     if operation == "div" and known[1] == 1.0:
@@ -161,9 +162,9 @@ def _simplified(operation: str, symbols: Sequence[Symbol], known: Sequence[Any])
 
 
 def _without_zeros(operation: str, symbols: Sequence[Symbol], known: Sequence[Any]) -> Symbol | None:
-    """Return the symbol that an operation with a zero gives, if that is one of its arguments or a new sign; else None.
+    """Return the symbol of a sum, difference, product or quotient with a zero argument; None if there is none.
 
-    It is right for all finite numbers but for the sign of zero.
+    The result is correct for all finite numbers, except for the sign of zero.
     """
     if 0.0 not in known or operation not in ("add", "sub", "mul", "div"):
         return None
@@ -177,24 +178,24 @@ def _without_zeros(operation: str, symbols: Sequence[Symbol], known: Sequence[An
 
 @dataclass(frozen=True, eq=False)
 class Symbol:
-    """A node of a graph that computes like a number."""
+    """A node of a graph with the arithmetic operators of a number."""
 
     graph: Graph = field(repr=False)
     index: int
 
     @property
     def node(self) -> Key:
-        """The operation and its arguments."""
+        """The operation and the indices of its arguments."""
         return self.graph.nodes[self.index]
 
     @property
     def value(self) -> Any:
-        """The number of a constant, else None."""
+        """The number of a constant; None for another node."""
         return self.node[1] if self.node[0] == "constant" else None
 
     @property
     def arguments(self) -> list[Symbol]:
-        """The symbols that the operation is applied to."""
+        """The arguments of the operation as symbols."""
         return [Symbol(self.graph, i) for i in arguments_of(self.node)]
 
     def __add__(self, other: Any) -> Symbol:
@@ -220,8 +221,8 @@ class Symbol:
         return self.graph.apply("div", other, self)
 
     def __pow__(self, power: int) -> Symbol:
-        if power != 2:  # the one power that Python, NumPy and C agree on to the bit
-            raise ValueError(f"a symbol to the power {power!r}: only squares are taken")
+        if power != 2:  # only squares have the same bits in Python, NumPy and C
+            raise ValueError(f"the power of a symbol is {power!r}; it must be 2")
         return self * self
 
     def __neg__(self) -> Symbol:
@@ -259,20 +260,20 @@ class Symbol:
         return self.graph.apply("not", self)
 
     def __bool__(self) -> bool:
-        raise TypeError("a symbol is neither true nor false; choose between two values with `where`")
+        raise TypeError("a symbol has no truth value; use `where` to select one of two values")
 
 
 def _applied(operation: str) -> Callable[..., Any]:
-    """Return the function of a namespace that records an operation; without any symbol it is carried out."""
+    """Return the namespace function that records an operation on symbols, or evaluates it if no argument is one."""
 
     def function(*arguments: Any) -> Any:
         graph = next((a.graph for a in arguments if isinstance(a, Symbol)), None)
-        return carried_out(operation, *arguments) if graph is None else graph.apply(operation, *arguments)
+        return evaluated(operation, *arguments) if graph is None else graph.apply(operation, *arguments)
 
     return function
 
 
-single = _applied("single")  # an operation that no namespace needs
+single = _applied("single")  # not part of the namespaces
 
 
 def _scaled(rows: Any, factors: Constants) -> list[Any]:

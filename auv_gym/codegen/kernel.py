@@ -1,4 +1,4 @@
-"""Kernels: an equation on rows, traced once, that runs as compiled C, or without a compiler as printed Python."""
+"""Kernels: equations on rows, traced once, that run as compiled C, or as printed Python if there is no compiler."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ import numpy as np
 from auv_gym.codegen import native
 from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
-from auv_gym.codegen.graph import EXACT, Graph, Symbol, floor
+from auv_gym.codegen.graph import OPERATIONS, Graph, Symbol, floor
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
 
 Equation = Callable[..., Mapping[str, Sequence[Any]]]
-"""Takes the rows of each array by its name, as symbols, and returns rows by the names of the arrays they are for."""
+"""A function that takes the rows of each argument by name, as symbols, and returns the rows of each result by name."""
 KernelRun = Callable[[int, int], None]
-"""Goes through so many steps from a first one on: `run(first, steps)`."""
+"""A function `run(first, steps)` that computes this number of steps from step `first` on."""
 
-_REAL = {name: np.dtype(name) for name in ("float32", "float64")}
-_FLOAT_SPACE = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "inf", "nan")}
+_DTYPES = {name: np.dtype(name) for name in ("float32", "float64")}
+_MATH = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "inf", "nan")}
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """An equation on rows of n vehicles, which may go through several steps at once.
+    """An equation on rows of n vehicles, for one or several steps.
 
-    Arrays are of shape (rows, n), or (rows,) where they hold the same for all vehicles; where they hold something else
-    at each step, of shape (T, rows, n) or (T, rows). An array that is among arguments and results is carried from step
-    to step; another result is that of the last step, unless it is over time.
+    The shape of an array is (rows, n), or (rows,) if its values are shared by all vehicles. An array with values for
+    each step has the shape (T, rows, n) or (T, rows). An array that is an argument and a result is carried from step to
+    step. Any other result holds the values of the last step, unless it has values for each step.
     """
 
     name: str
@@ -55,17 +55,17 @@ class Kernel:
         structural: bool = False,
         blocked: bool = False,
     ) -> Kernel:
-        """Return the kernel of an equation, which is run once, on symbols.
+        """Return the kernel of an equation, which is run once on symbols.
 
         Args:
-            equation: see `Equation`; it must compute with `graph.SYMBOLS`.
-            rows: how many rows each of its arguments has.
-            over_time: names of the arrays, arguments or results, that hold something else at each step.
-            shared: names of the arguments that hold the same for all vehicles.
-            precision: of all numbers, "float64" or "float32".
-            back: whether to go from the last step to the first.
+            equation: see `Equation`; its namespace must be `graph.SYMBOLS`.
+            rows: number of rows of each argument.
+            over_time: names of the arguments and results with values for each step.
+            shared: names of the arguments whose values are shared by all vehicles.
+            precision: "float64" or "float32", the type of all numbers.
+            back: whether the steps run from the last to the first.
             structural: see `Graph`.
-            blocked: whether to go through eight vehicles at a time: for equations of more than a hundred rows.
+            blocked: whether the C code computes eight vehicles at a time, for equations of more than a hundred rows.
         """
         graph = Graph(structural)
         arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
@@ -74,17 +74,17 @@ class Kernel:
         return cls("auv_kernel", graph, arguments, results, layout)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but what is made of it when it is needed, among it addresses in this process."""
+        """Return the fields; cached values, some of them addresses in this process, are left out."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def rows(self) -> dict[str, int]:
-        """How many rows each array has, in the order in which the compiled function takes them."""
+        """Number of rows of each array, in the order of the compiled function's arguments."""
         return {array: len(entries) for array, entries in {**self.arguments, **self.results}.items()}
 
     @cached_property
     def source(self) -> str:
-        """The kernel in C."""
+        """The C source."""
         return self._head + self._code(self.name)
 
     @property
@@ -93,8 +93,8 @@ class Kernel:
         return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n"
 
     def _code(self, name: str) -> str:
-        """Return the function of a name that `source` is made of."""
-        flat = lowered(self.graph, self._wanted, self.layout.precision)
+        """Return the C source of the kernel's function with this name."""
+        flat = lowered(self.graph, self._outputs, self.layout.precision)
         results, at = {}, 0
         for array, entries in self.results.items():
             results[array], at = flat[at : at + len(entries)], at + len(entries)
@@ -102,13 +102,14 @@ class Kernel:
         return printed(name, self.graph, self.arguments, results, self.layout)
 
     @property
-    def _wanted(self) -> list[Symbol]:
+    def _outputs(self) -> list[Symbol]:
         return [s for entries in self.results.values() for s in entries]
 
     def _native(self, n: int) -> Any:
-        """Return the compiled function for n vehicles; None where there is none.
+        """Return the compiled function for n vehicles; None without a compiler.
 
-        That for one vehicle takes a compiler a fraction of the time. What is compiled already is preferred to that.
+        The function for one vehicle is compiled in a fraction of the time. If the function for many vehicles exists, it
+        is used for one as well.
         """
         if not self._compiled or (n > 1 and True not in self._compiled):
             self._compiled[n > 1] = _function(native.library(self.source, many=n > 1), self.name)
@@ -116,30 +117,30 @@ class Kernel:
 
     @cached_property
     def _compiled(self) -> dict[bool, Any]:
-        """The compiled functions: for many vehicles, and for one."""
+        """The compiled functions, by whether they are for many vehicles."""
         return {}
 
     @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
-        space = {**_FLOAT_SPACE, "arctan2": math.atan2, "floor": floor, "single": EXACT["single"]}
-        return self._python(PYTHON, space)
+        return self._python(PYTHON, {**_MATH, "arctan2": math.atan2, "floor": floor, "single": OPERATIONS["single"]})
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
-        space = {"exp": np.exp, "log": np.log, "inf": math.inf, "nan": math.nan, "single": _single_rows}
-        plain = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "arctan2", "floor", "clip", "where")}
-        return self._python(NUMPY, {**space, **plain})
+        names = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "arctan2", "floor", "clip", "where")}
+        names |= {"exp": np.exp, "log": np.log, "inf": math.inf, "nan": math.nan, "single": _single_rows}
+        return self._python(NUMPY, names)
 
-    def _python(self, language: Language, space: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
-        source = python_function(self.name, self.graph, self.arguments, self._wanted, language)
-        exec(compile(source, f"<{self.name}>", "exec"), space)
-        function: Callable[..., tuple[Any, ...]] = space[self.name]
+    def _python(self, language: Language, names: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
+        """Return the printed function, whose source uses these global names."""
+        source = python_function(self.name, self.graph, self.arguments, self._outputs, language)
+        exec(compile(source, f"<{self.name}>", "exec"), names)
+        function: Callable[..., tuple[Any, ...]] = names[self.name]
         return function
 
     def bound(self, **arrays: AnyArray) -> KernelRun:
-        """Return the function that reads these arrays and writes to them.
+        """Return a function that reads and writes these arrays.
 
-        It is made for speed: that the steps which it is asked for are within the arrays is for the caller to see to.
+        To be fast, it does not check that the steps are within the arrays; the caller must ensure this.
 
         Raises:
             ValueError: an array is missing, unknown, of another shape or type, or its last axis is not contiguous.
@@ -148,86 +149,88 @@ class Kernel:
         if (function := self._native(n)) is None:
             return self._on_one(arrays) if n == 1 else self._on_several(arrays)
         table = self._table(arrays, n)
-        run = partial(function, ctypes.c_void_p(table.__array_interface__["data"][0]))  # costs less than a function
-        run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
+        run = partial(function, ctypes.c_void_p(table.__array_interface__["data"][0]))  # faster than a closure
+        run.__dict__["kept"] = table, arrays  # references, as long as the addresses are used
         return run
 
     def _table(self, arrays: Mapping[str, AnyArray], n: int) -> AnyArray:
-        """Return what the compiled function finds `at` its first argument, see `c_function`."""
-        entries, size = [n], _REAL[self.layout.precision].itemsize
+        """Return the first argument of the compiled function, see `c_function`."""
+        entries, size = [n], _DTYPES[self.layout.precision].itemsize
         for name, _, strides in self._axes:
             array = arrays[name]
-            entries.append(array.__array_interface__["data"][0])  # half the cost of `array.ctypes`
+            entries.append(array.__array_interface__["data"][0])  # takes half the time of `array.ctypes`
             entries += [stride // size for stride in array.strides[:strides]]
         return np.array(entries, dtype=np.int64)
 
     @cached_property
     def _axes(self) -> list[tuple[str, int, int]]:
-        """Name and rows of each array, and how many of its axes have a stride."""
+        """Name, number of rows and number of strides of each array."""
         return [(name, rows, len(self.layout.strides(name))) for name, rows in self.rows.items()]
 
     def _checked(self, arrays: Mapping[str, AnyArray]) -> int:
-        """Return the number of vehicles of well-formed arrays."""
+        """Return the number of vehicles; raise ValueError for wrong arrays, see `bound`."""
         if arrays.keys() != self.rows.keys():
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
         n: int = next(a.shape[-1] for name, a in arrays.items() if name not in self.layout.shared)
-        real = _REAL[self.layout.precision]
+        dtype = _DTYPES[self.layout.precision]
         for name, rows, _ in self._axes:
-            array, own = arrays[name], (rows,) if name in self.layout.shared else (rows, n)
+            array, step = arrays[name], (rows,) if name in self.layout.shared else (rows, n)
             over_time = name in self.layout.over_time
-            if array.dtype != real or array.shape[over_time:] != own or array.ndim != over_time + len(own):
-                shape = ("T", *own) if over_time else own
+            if array.dtype != dtype or array.shape[over_time:] != step or array.ndim != over_time + len(step):
+                shape = ("T", *step) if over_time else step
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
                     f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
                 )
             if array.strides[-1] != array.itemsize and array.size and array.shape[-1] > 1:
-                raise ValueError(f"array {name} must hold the vehicles of a row side by side in memory")
+                raise ValueError(f"the last axis of array {name} is not contiguous; it must be contiguous")
         return n
 
     def _steps(self, first: int, steps: int) -> Iterable[int]:
         return range(first + steps - 1, first - 1, -1) if self.layout.back else range(first, first + steps)
 
     def _split(self, values: tuple[Any, ...]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Yield the name and the values of each result."""
         at = 0
         for name, entries in self.results.items():
             yield name, values[at : at + len(entries)]
             at += len(entries)
 
     def _on_one(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
-        """Return what `bound` does for one vehicle, on floats."""
+        """Return the function of `bound` for one vehicle, on floats."""
         function = self._on_floats
 
         def run(first: int, steps: int) -> None:
             time = slice(first, first + steps)
-            rows = {name: self._one(name, array, time).tolist() for name, array in arrays.items()}
+            rows = {name: self._only(name, array, time).tolist() for name, array in arrays.items()}
             for k in self._steps(0, steps):
                 given = [rows[n][k] if n in self.layout.over_time else rows[n] for n in self.arguments]
                 try:
                     values = function(*given)
-                except (ArithmeticError, ValueError):  # NumPy divides by zero as C does
-                    values = self._beyond(given)
+                except (ArithmeticError, ValueError):  # NumPy gives inf or nan, as C does
+                    values = self._without_errors(given)
                 for name, own in self._split(values):
                     if name in self.layout.over_time:
                         rows[name][k] = own
                     else:
                         rows[name] = own
             for name in self.results if steps else ():
-                self._one(name, arrays[name], time)[:] = rows[name]
+                self._only(name, arrays[name], time)[:] = rows[name]
 
         return run
 
-    def _one(self, name: str, array: AnyArray, time: slice) -> AnyArray:
-        """Return what an array holds of the one vehicle."""
+    def _only(self, name: str, array: AnyArray, time: slice) -> AnyArray:
+        """Return the values of the only vehicle in an array."""
         part = array[time] if name in self.layout.over_time else array
         return part if name in self.layout.shared else part[..., 0]
 
-    def _beyond(self, given: Iterable[Any]) -> tuple[Any, ...]:
+    def _without_errors(self, given: Iterable[Any]) -> tuple[Any, ...]:
+        """Return the results for one vehicle; inf or nan where Python raises an error."""
         with np.errstate(all="ignore"):
             return tuple(map(float, self._on_rows(*map(np.array, given))))
 
     def _on_several(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
-        """Return what `bound` does for several vehicles, on rows."""
+        """Return the function of `bound` for several vehicles, on rows."""
         function = self._on_rows
 
         def run(first: int, steps: int) -> None:
@@ -244,13 +247,12 @@ class Kernel:
         return run
 
     def __call__(self, steps: int = 1, /, **arguments: AnyArray) -> dict[str, AnyArray]:
-        """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are.
+        """Return new arrays with the results of the first `steps` steps; the arguments are not changed.
 
         Raises:
-            ValueError: an array is missing, unknown, of another shape, or of fewer steps.
+            ValueError: an array is missing, unknown, of another shape, or has fewer steps.
         """
-        real = _REAL[self.layout.precision]
-        given = {name: np.ascontiguousarray(a, dtype=real) for name, a in arguments.items()}
+        given = {name: np.ascontiguousarray(a, dtype=_DTYPES[self.layout.precision]) for name, a in arguments.items()}
         if short := [name for name in given if name in self.layout.over_time and len(given[name]) < steps]:
             raise ValueError(f"array {short[0]} has {len(given[short[0]])} steps; it must have at least {steps}")
         n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
@@ -258,26 +260,28 @@ class Kernel:
         arrays = {**given, **results}
         if (function := self._native(n)) is None:
             self.bound(**arrays)(0, steps)
-        else:  # sooner than by `bound`
+        else:  # faster than `bound`
             table = self._table(arrays, self._checked(arrays))
             function(ctypes.c_void_p(table.__array_interface__["data"][0]), 0, steps)
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> AnyArray:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
-        return np.empty(shape, dtype=_REAL[self.layout.precision])
+        return np.empty(shape, dtype=_DTYPES[self.layout.precision])
 
 
 def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True) -> Any:
-    """Compile kernels of one precision as one library, in less time than one by one; they run from it afterwards.
+    """Compile kernels of one precision as one library, and let the kernels use its functions.
+
+    This takes less time than one library for each kernel.
 
     Args:
-        kernels: by the names of their functions.
-        code: further C, which may call these functions and stands behind them.
-        many: whether they are to be fast for several vehicles; it takes a compiler twice the time.
+        kernels: the kernels by the names of their functions.
+        code: further C code, appended to these functions; it may call them.
+        many: whether the code is compiled for several vehicles at once, which takes twice the time.
 
     Returns:
-        The library, a `ctypes.CDLL`; None where there is no compiler.
+        The library, a `ctypes.CDLL`; None without a compiler.
     """
     head = next(iter(kernels.values()))._head
     library = native.library("".join((head, *(k._code(name) for name, k in kernels.items()), code)), many=many)

@@ -1,6 +1,6 @@
-"""Linear algebra on symbols, written out entry by entry; what is zero beforehand costs nothing.
+"""Linear algebra on symbols, expanded to operations on entries; entries that are known to be zero cost nothing.
 
-A matrix is a sequence of rows. A symmetric one has the same symbol at (i, j) and (j, i), so that it is computed once.
+A matrix is a sequence of rows. A symmetric matrix has the same symbol at (i, j) and (j, i), which is computed once.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Matrix = Sequence[MatrixRow]
 
 
 def dot(a: MatrixRow, b: MatrixRow) -> Any:
-    """Return the sum of a_k b_k, 0.0 if nothing is left of it."""
+    """Return the sum of a_k b_k without the terms that are known to be zero; 0.0 if all are."""
     terms = [x * y for x, y in zip(a, b, strict=True) if not (is_zero(x) or is_zero(y))]
     return sum(terms[1:], start=terms[0]) if terms else 0.0
 
@@ -33,18 +33,18 @@ def product(A: Matrix, B: Matrix) -> list[list[Any]]:
 
 def congruence(A: Matrix, P: Matrix) -> list[list[Any]]:
     """Return A P A^T for a symmetric P."""
-    filled = [sum(not is_zero(x) for x in row) for row in A]
+    nonzeros = [sum(not is_zero(x) for x in row) for row in A]
     half = [[dot(row, column) for column in P] for row in A]
     entries = []
     for i in range(len(A)):
         for j in range(i + 1):
-            full, empty = (j, i) if filled[i] <= filled[j] else (i, j)  # the fewest products
-            entries.append(dot(half[full], A[empty]))
+            dense, sparse = (j, i) if nonzeros[i] <= nonzeros[j] else (i, j)  # the fewest products
+            entries.append(dot(half[dense], A[sparse]))
     return symmetric(entries)
 
 
 def symmetric(triangle: Sequence[Any]) -> list[list[Any]]:
-    """Return the matrix of a lower triangle, given row by row."""
+    """Return the symmetric matrix of a lower triangle, given row by row."""
     rows: list[Sequence[Any]] = []
     while (at := len(rows) * (len(rows) + 1) // 2) < len(triangle):
         rows.append(triangle[at : at + len(rows) + 1])
@@ -57,5 +57,5 @@ def triangle(P: Matrix) -> list[Any]:
 
 
 def diagonal(entries: Sequence[Any]) -> list[list[Any]]:
-    """Return the matrix with these entries on its diagonal."""
+    """Return the diagonal matrix of these entries."""
     return [[x if i == j else 0.0 for j in range(len(entries))] for i, x in enumerate(entries)]

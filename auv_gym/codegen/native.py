@@ -1,4 +1,4 @@
-"""C sources compiled by whatever compiler the machine has, once, into a cache; without one, only speed is lost.
+"""Compile C sources once, with a compiler of the machine, into a cache.
 
 A library is loaded by its absolute path, and only from a folder to which no other user can write, see `cache`.
 """
@@ -22,38 +22,42 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from auv_gym.codegen.cache import BUILD, cache_folders, open_own, own_folder, tidy, used
-from auv_gym.codegen.cache import CACHE as CACHE  # noqa: PLC0414, part of this module for those who compile
+from auv_gym.codegen.cache import BUILD, cache_folders, mark_used, open_own, own_folder, remove_unused
+from auv_gym.codegen.cache import CACHE as CACHE  # noqa: PLC0414, exported by this module
 
 logger = logging.getLogger(__name__)
 
 SWITCH = "AUV_GYM_NATIVE"
-"""Environment variable that turns compiled code off where it is 0."""
-COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
-_FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared")
-"""What every compiler that is used here knows."""
+"""Environment variable that turns compiled code off if it is 0."""
+COMPILERS = ("gcc", "clang", "cc")  # tried in this order, after that of the environment variable CC
+_FLAGS = ("-std=c99", "-fPIC", "-shared")
+"""Flags that every supported compiler accepts."""
 _EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
-"""A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
-_SIMD = ("-fopenmp-simd",)
-"""For several vehicles at once, which takes twice the time."""
+"""Flags for the bits of the results: a product and a sum are rounded separately, and nan stays nan."""
+_ONE = ("-Og",)
+"""Flags for one vehicle: gcc takes two thirds of the time of -O1, and the code is 3 % slower."""
+_MANY = ("-O1", "-fopenmp-simd")
+"""Flags for several vehicles at once. The compilation takes three times the time.
+
+-O2 takes twice the time of -O1 and makes the code no faster: the equations have no branches, and the loops over
+vehicles are marked as parallel."""
 TUNED = ("-march=native", "-fno-ivopts")
-"""For this processor; and gcc shall not search for the cheapest counters of long loops. More optimisation than -O1
-takes twice the time and makes the code no faster: the equations are straight lines, and the loops over vehicles are
-marked as parallel. All left out where a compiler does not know them."""
+"""Flags for this processor, and without a slow search for loop counters by gcc; left out if a compiler refuses them."""
 _PATIENCE = 60.0
-"""Seconds that a compiler may take; one that takes longer is not asked again."""
+"""Time limit of a compiler [s]. A compiler that exceeds it is not used again."""
 _TRIAL = "#include <math.h>\n#include <stdint.h>\ndouble auv_trial(double x) { return floor(x); }\n"
 """Source that a compiler must be able to build before it is used."""
-_SYSCTL = "/usr/sbin/sysctl"  # that names the processor on macOS
+_SYSCTL = "/usr/sbin/sysctl"  # prints the name of the processor on macOS
 _PYTHON = "so equations run as Python, several times slower"
+"""Consequence if no code can be compiled."""
 _AGAIN = "so each process compiles again, which takes seconds"
-"""What it costs where no code can be compiled, and where it cannot be kept."""
+"""Consequence if compiled code cannot be kept."""
 _hung: set[str] = set()
-"""Programs that have taken longer than `_PATIENCE`."""
+"""Programs that have exceeded `_PATIENCE`."""
 _refused: dict[Path, str] = {}
-"""Folders in which no library could be built and loaded, and why."""
-_said: set[str] = set()
-"""Costs that were named already."""
+"""Folders in which no library could be built and loaded, with the reasons."""
+_logged: set[str] = set()
+"""Consequences that were logged already."""
 
 
 def wanted() -> bool:
@@ -63,7 +67,7 @@ def wanted() -> bool:
 
 @cache
 def compiler() -> tuple[str, str] | None:
-    """Return command and version of the first C compiler that works; None if none does, which one line on stderr says.
+    """Return command and version of the first C compiler that works; log a warning and return None if none does.
 
     The environment variable CC may hold a command of several words, such as "ccache gcc".
     """
@@ -72,7 +76,7 @@ def compiler() -> tuple[str, str] | None:
         try:
             program, *words = shlex.split(name)
             if (path := shutil.which(program)) is None:
-                raise ValueError("there is no such program")
+                raise ValueError("the program does not exist")
             command = shlex.join([path, *words])
             version = _run([path, *words, "--version"]).decode(errors="replace")
         except (OSError, ValueError, subprocess.SubprocessError) as error:
@@ -81,44 +85,44 @@ def compiler() -> tuple[str, str] | None:
             made, reason = _library(command, version, _TRIAL, (*_FLAGS, *_EXACT, *TUNED))
             if made is not None:
                 return command, version
-        logger.info("no code is compiled by %s", reason)
+        logger.info("this compiler does not work: %s", reason)
         reasons.append(reason)
-    _say(f"there is no C compiler that works ({reasons[0]})", f"{_PYTHON}: install gcc or clang")
+    _warn(f"there is no C compiler that works ({reasons[0]})", f"{_PYTHON}: install gcc or clang")
     return None
 
 
-def _say(what: str, cost: str) -> None:
-    """Say on stderr what has gone wrong, once for each cost, and not again in every worker process."""
-    if cost not in _said and multiprocessing.parent_process() is None:
-        _said.add(cost)
-        logger.warning("auv_gym: %s, %s", what, cost)
+def _warn(problem: str, consequence: str) -> None:
+    """Log a problem, once for each consequence, and not in worker processes."""
+    if consequence not in _logged and multiprocessing.parent_process() is None:
+        _logged.add(consequence)
+        logger.warning("auv_gym: %s, %s", problem, consequence)
 
 
 @cache
 def library(source: str, *, many: bool = True) -> ctypes.CDLL | None:
-    """Return the library of a C source, from the cache if it is there; None where it cannot be made.
+    """Return the library of a C source, from the cache if possible; None if it cannot be compiled.
 
-    Without `many` it is compiled in a fraction of the time, and is as fast for one vehicle.
+    Without `many` the compilation takes a fraction of the time, and the code is as fast for one vehicle.
     """
     if not wanted() or (found := compiler()) is None:
         return None
-    made, reason = _library(*found, source, (*_FLAGS, *_EXACT, *TUNED, *(_SIMD if many else ())))
+    made, reason = _library(*found, source, (*_FLAGS, *_EXACT, *TUNED, *(_MANY if many else _ONE)))
     if reason:
-        _say(reason, _PYTHON if made is None else _AGAIN)
+        _warn(reason, _PYTHON if made is None else _AGAIN)
     return made
 
 
 def _library(command: str, version: str, source: str, flags: tuple[str, ...]) -> tuple[ctypes.CDLL | None, str]:
-    """Return the library of a source, None where there is none; and what stood against the first folder for it."""
-    about = (command, version, *flags, platform.machine(), sys.platform, _processor())
-    key = "\0".join((source, *about, str(struct.calcsize("P"))))
+    """Return the library of a source, or None; and the reason why the first folder could not be used, or ""."""
+    build = (command, version, *flags, platform.machine(), sys.platform, _processor())
+    key = "\0".join((source, *build, str(struct.calcsize("P"))))
     digest, reasons = hashlib.sha256(key.encode()).hexdigest()[:32], list[str]()
-    mark = f"auv_gym_{digest}"  # a symbol by which a library is known to be that of the source
+    mark = f"auv_gym_{digest}"  # a symbol that identifies the library of this source
     for folder in cache_folders():
         file = folder / f"{digest}.so"
         with suppress(OSError, AttributeError), open_own(file):
             made = _loaded(file, mark)
-            used(file)
+            mark_used(file)
             return made, "".join(reasons[:1])
         try:
             if folder not in _refused:
@@ -140,7 +144,7 @@ def _loaded(file: Path, mark: str) -> ctypes.CDLL:
 
     Raises:
         OSError: it cannot be loaded.
-        AttributeError: it has no such symbol.
+        AttributeError: it does not have the symbol `mark`.
     """
     made = ctypes.CDLL(str(file))
     made[mark]
@@ -149,7 +153,7 @@ def _loaded(file: Path, mark: str) -> ctypes.CDLL:
 
 @cache
 def _processor() -> str:
-    """Return what tells processors with other instructions apart."""
+    """Return a text that differs between processors with different instruction sets."""
     if sys.platform == "darwin":
         with suppress(OSError, subprocess.SubprocessError):
             return _run([_SYSCTL, "-n", "machdep.cpu.brand_string"]).decode(errors="replace")
@@ -161,31 +165,31 @@ def _processor() -> str:
 
 
 _PROCESSOR = ("model name", "flags", "features", "facilities", "cpu", "isa", "uarch", "cpu implementer", "cpu part")
-"""Entries of /proc/cpuinfo that say which instructions there are: on x86, Arm, s390, POWER and RISC-V."""
+"""Entries of /proc/cpuinfo that identify the instruction set on x86, Arm, s390, POWER and RISC-V."""
 
 
 @cache
 def _announce() -> None:
-    """Say in one line why the first use on a machine takes longer."""
+    """Print why the first use on a machine takes longer."""
     print("auv_gym: compiling the equations of motion for this machine; this happens once", file=sys.stderr, flush=True)
 
 
 def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, ...]) -> ctypes.CDLL:
-    """Return a new library, once it can be loaded and its file is in place; two at once leave one whole file.
+    """Build a library, load it, then move its file into place; concurrent builds leave one complete file.
 
     Raises:
         OSError: it cannot be written or loaded.
-        AttributeError: it has no such symbol.
+        AttributeError: it does not have the symbol `mark`.
         SubprocessError: the compiler fails.
     """
-    tidy(own_folder(file.parent))
+    remove_unused(own_folder(file.parent))
     with tempfile.TemporaryDirectory(prefix=BUILD, dir=file.parent) as folder:
         made = Path(folder) / file.name
         try:
             _compile(command, source, made, flags)
         except subprocess.CalledProcessError:
             _compile(command, source, made, tuple(flag for flag in flags if flag not in TUNED))
-        made.chmod(0o755)  # no umask lets others write
+        made.chmod(0o755)  # not writable by other users, whatever the umask
         found = _loaded(made, mark)
         made.replace(file)
     return found
@@ -196,16 +200,16 @@ def _compile(command: str, source: str, made: Path, flags: tuple[str, ...]) -> N
 
 
 def _run(words: list[str], given: str = "", folder: Path | None = None) -> bytes:
-    """Return what a program prints; one that is not done in time ends, with all that it has started.
+    """Return the output of a program; kill it and its child processes if it exceeds the time limit.
 
     Args:
-        words: of its command.
+        words: the command.
         given: its standard input.
         folder: for its temporary files.
 
     Raises:
         OSError: it cannot be started.
-        SubprocessError: it fails, or takes longer than `_PATIENCE`, now or before.
+        SubprocessError: it fails, or has exceeded `_PATIENCE`, now or in an earlier call.
     """
     if (program := os.path.realpath(words[0])) in _hung:
         raise subprocess.TimeoutExpired(words, _PATIENCE)
@@ -214,7 +218,7 @@ def _run(words: list[str], given: str = "", folder: Path | None = None) -> bytes
         words, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True, env={**os.environ, **more}
     ) as process:
         try:
-            out, said = process.communicate(given.encode(), _PATIENCE)
+            out, errors = process.communicate(given.encode(), _PATIENCE)
         except BaseException as error:
             if isinstance(error, subprocess.TimeoutExpired):
                 _hung.add(program)
@@ -225,13 +229,13 @@ def _run(words: list[str], given: str = "", folder: Path | None = None) -> bytes
                     os.killpg(process.pid, signal.SIGKILL)
             raise
     if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, words, out, said)
+        raise subprocess.CalledProcessError(process.returncode, words, out, errors)
     return out
 
 
 def _reason(error: Exception) -> str:
-    """Return in a line why something went wrong."""
+    """Return the message of an error in one line."""
     if isinstance(error, subprocess.TimeoutExpired):
-        return f"it is not done after {_PATIENCE:g} s"
-    said = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip()
-    return said.splitlines()[0] if said else getattr(error, "strerror", None) or str(error)
+        return f"it exceeds {_PATIENCE:g} s"
+    output = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip()
+    return output.splitlines()[0] if output else getattr(error, "strerror", None) or str(error)

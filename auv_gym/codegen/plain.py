@@ -1,7 +1,7 @@
-"""A graph as a plain function for one vehicle, in C99 or JavaScript, for programs that hold nothing of this project.
+"""A graph as a plain function for one vehicle, in C99 or JavaScript, for programs that do not use this package.
 
-A function takes arrays and writes to arrays; one may be read and written at once, since everything is read first.
-Sine, cosine, exponential and arctangent are written out, so that both languages give the bits of the compiled kernels.
+A function reads arrays and writes arrays. The same array may be read and written, since all values are read first.
+Sine, cosine, exponential and arctangent are expanded, so both languages give the same bits as the compiled kernels.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from auv_gym.codegen.printing import JAVASCRIPT, Arrays, Language, c_language, w
 
 @dataclass(frozen=True)
 class Dialect:
-    """How plain functions look in a language."""
+    """The syntax of plain functions in a language."""
 
     language: Language
-    precision: str  # of all numbers, "float64" or "float32"
-    value: str  # a constant's declaration, with its name {0} and expression {1}
-    truth: str  # that of a truth value
-    head: str  # a function's first line, with its name {0} and parameters {1}
-    read: str  # a parameter that is an array to read, with its name {0}
-    write: str  # a parameter that is an array to write
-    number: str  # a parameter that is a number
-    variable: str  # a number that changes, with its name {0} and first value {1}
-    local: str  # an array in a function, with its name {0} and size {1}
-    loop: str  # a loop's head, with its counter {0} and the number of rounds {1}
-    unused: str  # a line for a parameter {0} that a function does not read; empty where nobody minds
+    precision: str  # type of all numbers, "float64" or "float32"
+    value: str  # declaration of a constant with name {0} and expression {1}
+    truth: str  # declaration of a truth value with name {0} and expression {1}
+    head: str  # first line of a function with name {0} and parameters {1}
+    read: str  # parameter {0}, an array to read
+    write: str  # parameter {0}, an array to write
+    number: str  # parameter {0}, a number
+    variable: str  # declaration of a variable with name {0} and initial value {1}
+    local: str  # declaration of a local array with name {0} and size {1}
+    loop: str  # head of a loop with counter {0} and number of iterations {1}
+    unused: str  # statement for a parameter {0} that is not read; empty if none is needed
 
 
 def c_dialect(precision: str) -> Dialect:
-    """Return C99, whose type `real` is of a precision, "float64" or "float32"."""
+    """Return the dialect of C99 with the type `real` of a precision, "float64" or "float32"."""
     return Dialect(
         language=c_language(precision),
         precision=precision,
@@ -64,21 +64,20 @@ JAVASCRIPT_DIALECT = Dialect(
     loop="for (let {0} = 0; {0} < {1}; {0}++)",
     unused="",
 )
-"""JavaScript, on arrays of the type Float64Array."""
+"""The dialect of JavaScript, for arrays of the type Float64Array."""
 
 
 def plain_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, dialect: Dialect) -> str:
     """Return the source of a function that reads the arguments and writes the results, arrays of numbers.
 
-    Its parameters are the arrays by name, the arguments first and behind them results that are no arguments; arrays
-    without entries are left out, see `parameters`. Truth values become 0 and 1.
+    See `parameters` for its parameters. Truth values become 0 and 1.
 
     Args:
-        name: of the function.
-        graph: what the results are nodes of.
-        arguments: the arrays that it reads.
-        results: the arrays that it writes.
-        dialect: what it is written in.
+        name: the name of the function.
+        graph: the graph of the results.
+        arguments: the arrays that the function reads.
+        results: the arrays that the function writes.
+        dialect: the language.
     """
     flat = lowered(graph, [s for entries in results.values() for s in entries], dialect.precision)
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in flat) if graph.nodes[i][0] == "input"}
@@ -96,18 +95,18 @@ def plain_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, 
         for j in range(len(entries)):
             symbol, text = next(values)
             truth = symbol.node[0] in TRUTHS or isinstance(symbol.value, bool)
-            if given.get(text) != f"{array}[{j}]":  # what stays as it is need not be written
+            if given.get(text) != f"{array}[{j}]":  # an unchanged entry is not written
                 lines.append(f"{array}[{j}] = {f'({text} ? 1 : 0)' if truth else text};")
     return "\n".join((*lines, "}")) + "\n"
 
 
 def parameters(arguments: Arrays, results: Arrays) -> Sequence[str]:
-    """Return the names of a plain function's parameters in their order."""
+    """Return the parameters of a plain function: the arguments, then the other results; without empty arrays."""
     return [array for array, entries in {**arguments, **results}.items() if len(entries)]
 
 
 def tangent_function(name: str, dialect: Dialect) -> str:
-    """Return the source of the hyperbolic tangent: a function that takes a number and returns one."""
+    """Return the source of a function that returns the hyperbolic tangent of a number."""
     graph = Graph()
     result = hyperbolic_tangent(graph.input("x"), dialect.precision, SYMBOLS)
     statements, (text,) = written_statements(graph, [result], dialect.language, {"x": "x"})

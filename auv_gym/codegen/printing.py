@@ -1,7 +1,4 @@
-"""Printers: a graph as flat Python on floats or on NumPy rows, as C for many vehicles side by side, or in JavaScript.
-
-What `plain` makes of one vehicle in C or JavaScript is written in the languages of this module too.
-"""
+"""Printers of a graph: Python on floats or NumPy rows, and C for many vehicles; the syntax of C and JavaScript."""
 
 from __future__ import annotations
 
@@ -13,18 +10,18 @@ from dataclasses import dataclass
 from auv_gym.codegen.graph import TRUTHS, Graph, Symbol, arguments_of
 
 _DEEPEST = 12
-"""Levels of expressions that are written into one another before a result gets a name."""
+"""Largest depth of a nested expression; a deeper one is assigned to a variable."""
 Arrays = Mapping[str, Sequence[Symbol]]
-"""The rows of arrays, by the arrays' names."""
+"""The rows of arrays by the names of the arrays."""
 
 
 @dataclass(frozen=True)
 class Language:
-    """How operations are written."""
+    """The syntax of operations and constants in a language."""
 
-    forms: Mapping[str, str]  # an operation with its arguments {0}, {1}, ...
-    named: frozenset[str]  # operations that write an argument more than once, so that it must be a name
-    number: Callable[[float | bool], str]
+    forms: Mapping[str, str]  # expression of each operation with its arguments {0}, {1}, ...
+    named: frozenset[str]  # operations whose expression repeats an argument, which must therefore be a variable
+    number: Callable[[float | bool], str]  # returns the expression of a constant
 
 
 def _python_number(value: float | bool) -> str:
@@ -33,7 +30,7 @@ def _python_number(value: float | bool) -> str:
     return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
-ARITHMETIC = {  # what every language writes alike
+ARITHMETIC = {  # the same in every language
     "add": "({0} + {1})",
     "sub": "({0} - {1})",
     "mul": "({0} * {1})",
@@ -42,7 +39,7 @@ ARITHMETIC = {  # what every language writes alike
     "lt": "({0} < {1})",
     "le": "({0} <= {1})",
 }
-FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")  # called by their names
+FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")  # printed by their names
 PYTHON = Language(
     {
         **ARITHMETIC,
@@ -57,7 +54,7 @@ PYTHON = Language(
     frozenset(("clip",)),
     _python_number,
 )
-"""On floats."""
+"""Python on floats."""
 NUMPY = Language(
     {
         **PYTHON.forms,
@@ -70,7 +67,7 @@ NUMPY = Language(
     frozenset(),
     _python_number,
 )
-"""On rows of shape (N,)."""
+"""Python on NumPy rows of shape (N,)."""
 
 
 def c_language(precision: str) -> Language:
@@ -92,7 +89,7 @@ def c_language(precision: str) -> Language:
         "single": "((real)(float){0})",
         "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
         "where": "({0} ? {1} : {2})",
-        "and": "({0} && {1})",  # with & and | gcc would not vectorise
+        "and": "({0} && {1})",  # gcc does not vectorise & and |
         "or": "({0} || {1})",
         "not": "(!{0})",
     }
@@ -123,21 +120,21 @@ JAVASCRIPT = Language(
     frozenset(("clip",)),
     _javascript_number,
 )
-"""On JavaScript's numbers, which are of double precision; it contracts no product with a sum."""
+"""JavaScript. Its numbers are of double precision, and it does not contract a product with a sum."""
 
 
 def written_statements(
     graph: Graph, outputs: Sequence[Symbol], language: Language, inputs: Mapping[str, str]
 ) -> tuple[list[tuple[str, str, bool]], list[str]]:
-    """Return statements, (name, expression, whether it is a truth value), and the expressions of some outputs then.
+    """Return statements, (variable, expression, whether it is a truth value), and the expressions of the outputs.
 
-    A result that is used once is written into the expression that uses it, unless that grows too deep.
+    A node that is used once is nested in the expression that uses it, up to the depth `_DEEPEST`.
 
     Args:
-        graph: what the outputs are nodes of.
-        outputs: what is to be computed.
-        language: how it is written.
-        inputs: what each input is called, by its name in the graph.
+        graph: the graph of the outputs.
+        outputs: the symbols to compute.
+        language: the syntax.
+        inputs: the expression of each input by its name in the graph.
     """
     order = graph.needed(s.index for s in outputs)
     uses = Counter(a for i in order for a in arguments_of(graph.nodes[i]))
@@ -163,7 +160,7 @@ def written_statements(
 
 
 def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequence[Symbol], language: Language) -> str:
-    """Return the source of a Python function that takes a sequence for each array and returns the results' tuple."""
+    """Return the source of a Python function that takes a sequence for each array and returns a tuple of results."""
     inputs = {s.node[1]: s.node[1] for rows in arguments.values() for s in rows}
     statements, outputs = written_statements(graph, results, language, inputs)
     lines = [f"def {name}({', '.join(arguments)}):"]
@@ -174,27 +171,27 @@ def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequenc
 
 @dataclass(frozen=True)
 class Layout:
-    """How the arrays of a kernel lie in memory, and in which order its steps are taken."""
+    """The memory layout of a kernel's arrays, and the order of its steps."""
 
-    over_time: frozenset[str]  # names of arrays that have rows for each step
-    shared: frozenset[str]  # names of arrays that hold one number a row for all vehicles
-    precision: str  # of all numbers, "float64" or "float32"
-    back: bool  # whether the steps are taken from the last one to the first
-    blocked: bool = False  # whether the C goes through eight vehicles at a time, see `blocks`
+    over_time: frozenset[str]  # names of the arrays with values for each step
+    shared: frozenset[str]  # names of the arrays whose values are shared by all vehicles
+    precision: str  # type of all numbers, "float64" or "float32"
+    back: bool  # whether the steps run from the last to the first
+    blocked: bool = False  # whether the C code computes eight vehicles at a time, see `blocks`
 
     def strides(self, array: str) -> tuple[str, ...]:
-        """Return what the strides of an array's axes are called in C, of all axes but the last."""
+        """Return the C variables of an array's strides; the last axis has none."""
         kinds = (("time", array in self.over_time), ("row", array not in self.shared))
-        return tuple(f"{array}_{kind}" for kind, there in kinds if there)
+        return tuple(f"{array}_{kind}" for kind, exists in kinds if exists)
 
     def entry(self, array: str, row: int | str) -> str:
-        """Return a row of an array in C, for vehicle i at step k."""
+        """Return the C expression of an array's row for vehicle i at step k."""
         time = f"k * {array}_time + " if array in self.over_time else ""
         return f"{array}[{time}{row}]" if array in self.shared else f"{array}[{time}{row} * {array}_row + i]"
 
 
 def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> list[str]:
-    """Return the first lines of a C function, see `c_function`: where each array is, and its strides."""
+    """Return the first lines of a C function, see `c_function`: the declarations of its arrays and their strides."""
     lines, at = [f"void {name}(const int64_t *at, int first, int steps)", "{", "const long n = (long)at[0];"], 1
     for array in {**arguments, **results}:
         kind = f"{'' if array in results else 'const '}real *restrict"
@@ -206,25 +203,25 @@ def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> 
 
 
 C_CLOSING = ("#ifdef __AVX__", "__builtin_ia32_vzeroupper();", "#endif")
-"""What stands at the end of a C function: other code waits for the wide registers unless they are zero."""
+"""Last lines of a C function: they clear the wide registers, since other code is slower while these are in use."""
 
 
 def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
-    """Return the source of a C function for n vehicles and some steps, one after the other, from step `first` on.
+    """Return the source of a C function that computes n vehicles for `steps` steps, from step `first` on.
 
         void NAME(const int64_t *at, int first, int steps)
 
-    `at` holds n and then, of each array, the address and the strides of all axes but the last, in numbers; arguments
-    come first, results that are no arguments behind. A call from Python with so few and plain arguments costs less than
-    a step of a vehicle. An array that is argument and result at once is carried from step to step. Truth values become
-    0 and 1.
+    `at` holds n and then, for each array, its address and the strides of all axes except the last, in numbers. The
+    arguments come first, then the results that are not arguments. A call from Python with these three arguments takes
+    less time than a step of a vehicle. An array that is an argument and a result is carried from step to step. Truth
+    values become 0 and 1.
 
     Args:
-        name: of the function.
-        graph: what the results are nodes of.
-        arguments: the arrays that it reads.
-        results: the arrays that it writes.
-        layout: of the arrays.
+        name: the name of the function.
+        graph: the graph of the results.
+        arguments: the arrays that the function reads.
+        results: the arrays that the function writes.
+        layout: the layout of the arrays.
     """
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
@@ -245,7 +242,7 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
     for array, entries in results.items():
         for j, entry in enumerate(entries):
             target, value = layout.entry(array, j), next(values)
-            if given.get(value) != target:  # what stays as it is need not be written
+            if given.get(value) != target:  # an unchanged entry is not written
                 truth = graph.nodes[entry.index][0] in TRUTHS
-                lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")  # vectorises
+                lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")
     return "\n".join((*lines, "}", "}", *C_CLOSING, "}")) + "\n"

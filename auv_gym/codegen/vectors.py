@@ -1,8 +1,8 @@
-"""Networks as programs of vectors, recorded by running them on vectors that compute nothing, as equations on symbols.
+"""Networks as programs of vector operations, recorded by running them on symbolic vectors.
 
-A network of `baselines.agents.networks` computes with NumPy on columns. Given a `_Vector` in place of a column, each
-operation becomes a node, and from the nodes come loops in C and JavaScript, or the operators of an exchange format.
-Matrices are not unrolled: the program stays short, and the weights stay data.
+A network of `baselines.agents.networks` computes with NumPy on columns. With a `_Vector` as a column, each operation
+is recorded as a node. The nodes are printed as loops in C or JavaScript, or as the operators of an exchange format.
+Matrices are not unrolled, so programs are short and the weights remain data.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from auv_gym.codegen.plain import Dialect
 from auv_gym.physics.namespaces import AnyArray
 
 ELEMENTWISE = ("add", "subtract", "multiply", "maximum", "clip", "tanh")
-"""Operations on each entry, named as NumPy's functions; their arguments are nodes, named constants or numbers."""
+"""Elementwise operations, by the names of NumPy's functions; their arguments are nodes, constants or numbers."""
 
 
 @dataclass(frozen=True)
 class Node:
     """An operation on vectors.
 
-    One of `ELEMENTWISE`, "input" (name), "slice" (node, first), "dot" (matrix, node) or "concatenate" (nodes).
+    It is one of `ELEMENTWISE`, "input" (name), "slice" (node, first), "dot" (matrix, node) or "concatenate" (nodes).
     """
 
     operation: str
-    arguments: tuple[Any, ...]  # indices of nodes as int, numbers as float, names of inputs and constants as str
-    size: int  # entries of the result
+    arguments: tuple[Any, ...]  # nodes by their index, an int; numbers as float; inputs and constants by their name
+    size: int  # number of entries of the result
 
 
 @dataclass
 class Program:
-    """Nodes in the order in which they were recorded, which is one in which they can be computed."""
+    """A list of nodes in the order of their recording, in which they can be computed."""
 
     constants: Mapping[str, AnyArray]  # matrices (rows, columns) and vectors (rows,), by name
     nodes: list[Node] = field(default_factory=list)
-    results: dict[str, int] = field(default_factory=dict)  # nodes by the names of what they are for
+    results: dict[str, int] = field(default_factory=dict)  # index of the node of each result, by name
 
     @classmethod
     def traced(
@@ -54,10 +54,10 @@ class Program:
         """Return the program of a function of columns.
 
         Args:
-            function: takes a vector for each input, and uses the constants' own arrays.
+            function: takes a vector for each input, and uses the arrays of `constants` themselves.
             constants: matrices (rows, columns) and columns (rows, 1) that it uses, by name.
-            inputs: how many entries each input has.
-            results: names of what it returns.
+            inputs: number of entries of each input.
+            results: names of the vectors that the function returns.
         """
         program = cls({name: a[:, 0] if a.shape[1] == 1 else a for name, a in constants.items()})
         names = {id(array): name for name, array in constants.items()}
@@ -73,17 +73,17 @@ class Program:
 
 
 class _Vector(NDArrayOperatorsMixin):
-    """A column of numbers that NumPy's functions take and that records what they do with it.
+    """A symbolic column; NumPy's functions of it are recorded.
 
-    What is changed in place through a part of a column may not be read through the whole of it any more, since a part
-    is recorded as a vector of its own.
+    A part of a column is recorded as a separate vector. After a part was changed in place, these entries cannot be read
+    through the whole column.
     """
 
     def __init__(self, program: Program, index: int, names: Mapping[int, str]) -> None:
-        """Stand for a node; `names` are the constants' by the identity of their arrays."""
+        """Represent a node; `names` has the name of each constant by the `id` of its array."""
         self.program, self.index, self.names = program, index, names
-        self._whole: tuple[_Vector, int, int] | None = None  # what it is a part of, from where to where
-        self._changed: list[tuple[int, int]] = []  # parts that were changed in place
+        self._whole: tuple[_Vector, int, int] | None = None  # the vector of which this is a part, first entry, end
+        self._changed: list[tuple[int, int]] = []  # first entry and end of the parts that were changed in place
 
     def _recorded(self, operation: str, arguments: tuple[Any, ...], size: int) -> _Vector:
         return _Vector(self.program, self.program.node(operation, arguments, size), self.names)
@@ -94,20 +94,20 @@ class _Vector(NDArrayOperatorsMixin):
         return self.names[id(value)] if isinstance(value, np.ndarray) else float(value)
 
     def _read(self, first: float, end: float) -> int:
-        """Return the node for somebody who reads entries from `first` to `end`."""
+        """Return the node for a function that reads the entries from `first` to `end`."""
         if any(first < b and a < end for a, b in self._changed):
-            raise ValueError("a vector is read whose part was changed in place: read the part, or change the whole")
+            raise ValueError("a part of this vector was changed in place; read the part, or change the whole vector")
         return self.index
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: tuple[_Vector, ...] = ()) -> Any:
         if method != "__call__" or ufunc.__name__ not in ELEMENTWISE:
-            raise TypeError(f"{ufunc.__name__} of a vector is not recorded, only {', '.join(ELEMENTWISE)}")
+            raise TypeError(f"{ufunc.__name__} of a vector cannot be recorded; allowed are {', '.join(ELEMENTWISE)}")
         size = max(self.program.nodes[x.index].size for x in inputs if isinstance(x, _Vector))
         result = self._recorded(ufunc.__name__, tuple(map(self._argument, inputs)), size)
         if not out:
             return result
         target = out[0]
-        target.index = result.index  # what was there before is not read again
+        target.index = result.index
         if target._whole is not None:
             whole, first, end = target._whole
             whole._changed.append((first, end))
@@ -122,7 +122,7 @@ class _Vector(NDArrayOperatorsMixin):
         if function is np.concatenate:
             parts = tuple(map(self._argument, arguments[0]))
             return self._recorded("concatenate", parts, sum(self.program.nodes[part].size for part in parts))
-        raise TypeError(f"{function.__name__} of a vector is not recorded, only dot, clip and concatenate")
+        raise TypeError(f"{function.__name__} of a vector cannot be recorded; allowed are dot, clip and concatenate")
 
     def __getitem__(self, rows: slice) -> _Vector:
         first, end, _ = rows.indices(self.program.nodes[self.index].size)
@@ -132,20 +132,22 @@ class _Vector(NDArrayOperatorsMixin):
 
 
 def plain_program(name: str, program: Program, tangent: str, dialect: Dialect, scales: Mapping[str, str]) -> str:
-    """Return the source of a function that runs a program on arrays: its inputs, then its results, as far as not empty.
+    """Return the source of a function that runs a program on arrays.
+
+    Its parameters are the inputs, then the results; empty arrays are left out.
 
     Args:
-        name: of the function.
-        program: what it does; its constants are arrays of their names, matrices row by row.
-        tangent: name of the function `plain.tangent_function`.
-        dialect: what it is written in.
-        scales: names of arrays with a factor for each row of a matrix, where its entries are stored as integers.
+        name: the name of the function.
+        program: the program; its constants are global arrays of the same names, matrices row by row.
+        tangent: the name of the hyperbolic tangent, see `plain.tangent_function`.
+        dialect: the language.
+        scales: for each matrix that is stored as integers, the name of the array with a factor for each row.
     """
     return _Loops(program, tangent, dialect, scales).function(name)
 
 
 class _Loops:
-    """Writes a program as loops; what is used once is computed where it is used."""
+    """Prints a program as loops; a node that is used once is nested in the expression that uses it."""
 
     def __init__(self, program: Program, tangent: str, dialect: Dialect, scales: Mapping[str, str]) -> None:
         self.program, self.tangent, self.dialect, self.scales = program, tangent, dialect, scales
@@ -162,7 +164,7 @@ class _Loops:
         self.lines: list[str] = []
 
     def function(self, name: str) -> str:
-        """Return the whole function."""
+        """Return the source of the function."""
         nodes, d = self.program.nodes, self.dialect
         inputs = [node.arguments[0] for node in nodes if node.operation == "input" and node.size]
         results = {array: i for array, i in self.program.results.items() if nodes[i].size}
@@ -181,7 +183,7 @@ class _Loops:
         return "\n".join((*self.lines, "}")) + "\n"
 
     def _filled(self, array: str, parts: Sequence[int]) -> None:
-        """Write the parts of an array, one behind the other."""
+        """Append the loops that concatenate nodes to an array."""
         first = 0
         for part in parts:
             size = self.program.nodes[part].size
@@ -191,7 +193,7 @@ class _Loops:
             first += size
 
     def _entry(self, argument: Any, first: int) -> str:
-        """Return entry first + i of a node, a constant or a number."""
+        """Return the expression of entry first + i of a node, a constant or a number."""
         at = f"[i + {first}]" if first else "[i]"
         if isinstance(argument, float):
             return self.dialect.language.number(argument)
@@ -205,7 +207,7 @@ class _Loops:
         return self._computed(argument, first)
 
     def _computed(self, i: int, first: int) -> str:
-        """Return the expression of entry first + i of a node, behind the statements that it needs."""
+        """Append the statements that entry first + i of a node needs, and return its expression."""
         node = self.program.nodes[i]
         if node.operation == "slice":
             return self._entry(node.arguments[0], first + node.arguments[1])
@@ -224,7 +226,7 @@ class _Loops:
         return self.dialect.language.forms[form].format(*texts)
 
     def _sum(self, i: int, matrix: str, vector: int, first: int) -> str:
-        """Return the name of the product of a matrix's row with a vector, behind the loop that computes it."""
+        """Append the loop of the product of row first + i of a matrix with a vector; return its expression."""
         columns, total, d = self.program.nodes[vector].size, f"s{i}", self.dialect
         row = f"(i + {first})" if first else "i"
         term = self._entry(vector, 0).replace("[i", "[j")

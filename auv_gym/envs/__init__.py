@@ -1,4 +1,4 @@
-"""The environments: scalar, vector and torch."""
+"""The environments on NumPy, scalar and vector, and on torch tensors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.installation import install
 
 if TYPE_CHECKING:
-    from auv_gym.envs.lanes import ScenarioLike
+    from auv_gym.envs.sub_environments import ScenarioLike
     from auv_gym.physics.vehicle import Vehicle
     from auv_gym.scenarios.vehicles import VehicleModel
 
@@ -31,20 +31,20 @@ def make_track_vector_env(
     """Return the vector environment of `UnderactuatedAUVTrack-v0`.
 
     Args:
-        num_envs: N, the number of vehicles.
-        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them, one for each vehicle.
-        vehicle: in place of the scenarios' known vehicle: a `Vehicle`, a name or a dict.
-        control_dt: control period [s] in place of the scenarios'; their duration stays.
-        render_mode: None, since the vector environments do not draw.
+        num_envs: N, the number of sub-environments.
+        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them.
+        vehicle: replaces the known vehicle of the scenarios: a `Vehicle`, a name or a dict.
+        control_dt: control period [s], replaces that of the scenarios; the duration of episodes does not change.
+        render_mode: None, since vector environments do not draw.
         backend: "numpy" for arrays of float64, or "torch" for tensors, see `TorchSimulator`.
-        device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
-        dtype: their type, "float32" or "float64"; with backend "torch" only.
+        device: device of the tensors, "cpu" or "cuda"; with backend "torch" only.
+        dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
         preview: control periods ahead at which the reference is observed, see `auv_gym.task.preview.Preview`.
         autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
-        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
+        max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
 
     Raises:
-        ValueError: the back end is unknown, does not take such options, or the device is not available.
+        ValueError: the back end is unknown or does not have an option, or the device is not available.
         ImportError: the back end is "torch", and torch is not installed.
     """
     if backend == "numpy":

@@ -1,4 +1,4 @@
-"""What is given to environments of many vehicles, checked: scenarios, lengths of episodes, seeds, reset options."""
+"""Checks of the arguments of vector environments: scenarios, lengths of episodes, seeds, reset options."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def scenarios_of(
     vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
     control_dt: float | None,
 ) -> list[Scenario]:
-    """Return the scenario of each of N vehicles.
+    """Return the scenario of each of N sub-environments.
 
     Args:
-        scenario: one for all, in any form that `presets.as_scenario` takes, or a sequence of N.
+        scenario: one for all, in a form that `presets.as_scenario` accepts, or a sequence of N.
         num_envs: N.
-        vehicle: in place of the scenarios' known vehicle.
-        control_dt: control period [s] in place of the scenarios'.
+        vehicle: replaces the known vehicle of the scenarios.
+        control_dt: control period [s], replaces that of the scenarios.
 
     Raises:
-        ValueError: a wrong number of scenarios, scenarios with several numbers of substeps, or whatever one refuses.
+        ValueError: a wrong number of scenarios, different numbers of substeps, or a wrong scenario.
     """
     several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
     given = list(scenario) if several else [scenario]
@@ -40,17 +40,17 @@ def scenarios_of(
         raise ValueError(f"{len(given)} scenarios are given for {num_envs} sub-environments; give one, or one for each")
     made = [changed(as_scenario(s), vehicle, control_dt) for s in given]
     if len({s.substeps for s in made}) > 1:
-        raise ValueError("the scenarios differ in substeps; side by side they must have the same number")
+        raise ValueError("the scenarios have different substeps; in a vector environment they must be equal")
     return made if several else made * num_envs
 
 
 def checked_steps(max_episode_steps: int | None) -> int:
-    """Return a number of control steps; a very large one for None.
+    """Return a number of control steps; the largest integer for None.
 
     Raises:
-        ValueError: it is no integer of at least 1.
+        ValueError: it is not an integer of at least 1.
     """
-    if max_episode_steps is None or max_episode_steps == -1:  # Gymnasium's word for no limit
+    if max_episode_steps is None or max_episode_steps == -1:  # Gymnasium's value for no limit
         return int(np.iinfo(np.int64).max)
     if isinstance(max_episode_steps, bool) or not isinstance(max_episode_steps, int) or max_episode_steps < 1:
         raise ValueError(f"max_episode_steps is {max_episode_steps!r}; it must be an integer of at least 1, or None")
@@ -58,7 +58,7 @@ def checked_steps(max_episode_steps: int | None) -> int:
 
 
 def checked_seed(seed: Any) -> int | None:
-    """Return a seed as an integer of Python, None as it is.
+    """Return a seed as a Python integer, or None.
 
     Raises:
         ValueError: it is neither None nor an integer of at least 0.
@@ -71,14 +71,14 @@ def checked_seed(seed: Any) -> int | None:
 def seeded(
     generators: Sequence[np.random.Generator | None], seed: int | Sequence[int | None] | None
 ) -> list[np.random.Generator]:
-    """Return the random generators of N vehicles, new ones where a seed is given or there is none yet.
+    """Return the random generators of N sub-environments: new ones for seeds, otherwise the present ones.
 
     Args:
-        generators: the present ones, which stay where there is no seed.
-        seed: of the first vehicle, whose i-th neighbour gets seed + i; or N seeds, None where there is none.
+        generators: the present ones; None where there is none, so a new one is made.
+        seed: an integer, so sub-environment i has seed + i; or N seeds, None to keep the generator.
 
     Raises:
-        ValueError: a wrong number of seeds, or one that is no integer of at least 0.
+        ValueError: a wrong number of seeds, or a seed that is not an integer of at least 0.
     """
     n = len(generators)
     if isinstance(seed, Iterable) and not isinstance(seed, (str, Mapping)):
@@ -94,33 +94,33 @@ def seeded(
     ]
 
 
-def checked_reset(options: Any, n: int, begun: bool) -> tuple[Indices, list[dict[str, Any]] | None]:
-    """Return which of N vehicles a reset is for, as indices, and every vehicle's own options, None without any.
+def checked_reset(options: Any, n: int, started: bool) -> tuple[Indices, list[dict[str, Any]] | None]:
+    """Return the indices of the sub-environments to reset, and the options of each of N; None without any.
 
     Args:
-        options: of `reset`; what holds for all, or N entries.
+        options: of `reset`; values for all sub-environments, or N entries.
         n: N.
-        begun: whether all of them have been reset before.
+        started: whether all sub-environments have been reset before.
 
     Raises:
-        ValueError: options that are unknown, wrong or of another length, or a first reset that leaves some out.
+        ValueError: an option is unknown, wrong or of another length, or the first reset is not of all.
     """
-    lanes, rest = np.arange(n), dict(checked_mapping(options))
+    indices, rest = np.arange(n), dict(checked_mapping(options))
     if "reset_mask" in rest:
         mask = np.asarray(rest.pop("reset_mask"))
         if mask.shape != (n,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"reset_mask is {mask!r}; it must be a boolean array ({n},) with a True")
-        if not (begun or mask.all()):
+        if not (started or mask.all()):
             raise ValueError("the first reset must be of all sub-environments, without reset_mask")
-        lanes = mask.nonzero()[0]
+        indices = mask.nonzero()[0]
     if not rest:
-        return lanes, None
-    checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # the names alone
+        return indices, None
+    checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # checks the names only
     choices: list[dict[str, Any]] = [{} for _ in range(n)]
     for key, value in rest.items():
         shared = key != "episode" and np.ndim(value) == 1
         if not shared and (np.ndim(value) == 0 or len(value) != n):
-            raise ValueError(f"reset option {key} is {value!r}; it must have one entry for each of {n} vehicles")
+            raise ValueError(f"reset option {key} is {value!r}; it must have {n} entries, one for each sub-environment")
         for i, choice in enumerate(choices):
             choice.update(checked_options({key: value if shared else value[i]}))
-    return lanes, choices
+    return indices, choices

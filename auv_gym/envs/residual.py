@@ -1,4 +1,4 @@
-"""Residual control: the expert's action plus a bounded correction."""
+"""Residual control: the action of an expert plus a bounded correction."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from auv_gym.task.policy import Policy, checked_authority, corrected, traceable
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
-    """The action becomes a correction: command = clip(expert(observation) + authority * clip(action)).
+    """A wrapper whose action is a correction: command = clip(expert(observation) + authority * clip(action)).
 
-    The expert's action is appended to the observation. A zero action reproduces the expert bit for bit.
+    The expert's action is appended to the observation. A zero action gives the expert's action, bit for bit.
 
     Args:
         env: an environment with this package's observation and action space.
-        expert: a policy; its memory, if any, is reset with the episode.
-        authority: largest correction of surge and yaw command, as fractions of the actuators' limits; one number for
-            both or a pair.
+        expert: a policy; its memory is reset at the start of an episode.
+        authority: largest correction of the surge and yaw command, as fractions of the actuator limits; one number for
+            both, or a pair.
 
     Raises:
         ValueError: an authority is not in (0, 2].
@@ -53,7 +53,7 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         return observation if self._compiled else self._extended(observation, True), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
-        """Apply the expert's action plus the correction.
+        """Advance one control period with the expert's action plus the correction.
 
         Raises:
             ValueError: the correction is not two finite numbers; nothing has changed then.
@@ -73,13 +73,13 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
 class VectorResidualAction(
     VectorWrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[Any]]
 ):
-    """`ResidualAction` for a vector environment of any autoreset mode; one expert acts for all in batches.
+    """`ResidualAction` for a vector environment in any autoreset mode, with one expert for all sub-environments.
 
-    The expert's memory, if it has any, is a tuple of arrays whose leading axis counts the sub-environments.
+    The expert's memory is None or a tuple of arrays whose first axis is that of the sub-environments.
 
     Args:
         env: a vector environment with this package's observation and action space.
-        expert: a policy that keeps whatever it remembers in the `state` of `predict`.
+        expert: a policy whose memory is the `state` of `predict`.
         authority: see `ResidualAction`.
 
     Raises:
@@ -98,7 +98,7 @@ class VectorResidualAction(
             env.correct(expert, self.authority)  # type: ignore[attr-defined]
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
-        self._over = np.zeros(env.num_envs, dtype=bool)  # where the next step begins an episode
+        self._over = np.zeros(env.num_envs, dtype=bool)  # whether the next step begins an episode
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -107,21 +107,21 @@ class VectorResidualAction(
         observation, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         if self._compiled:
             return observation, info
-        begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        if begun.all():
+        started = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if started.all():
             self._over = np.zeros(self.num_envs, dtype=bool)
-            self._base, self._memory = self.expert.predict(observation, None, begun)
-        else:  # the others have seen their observation already
-            base, memory = self._predicted(observation[begun], begun, held_out=True)
-            self._base, self._over = _replaced(self._base, begun, base), self._over & ~begun
+            self._base, self._memory = self.expert.predict(observation, None, started)
+        else:  # the expert has acted on the observations of the others
+            base, memory = self._predicted(observation[started], started, first=True)
+            self._base, self._over = _replaced(self._base, started, base), self._over & ~started
             if self._memory is not None and memory is not None:
-                self._memory = tuple(_replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
+                self._memory = tuple(_replaced(m, started, new) for m, new in zip(self._memory, memory, strict=True))
         return np.concatenate((observation, self._base), axis=1), info
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Apply the expert's actions plus the corrections.
+        """Advance one control period with the expert's actions plus the corrections.
 
         Raises:
             ValueError: a correction is not two finite numbers; nothing has changed then.
@@ -134,20 +134,23 @@ class VectorResidualAction(
         done = terminated | truncated
         if "final_obs" in info:
             last = np.stack(info["final_obs"][done])
-            bases, _ = self._predicted(last, done, held_out=False)
+            bases, _ = self._predicted(last, done, first=False)
             for i, final, base in zip(done.nonzero()[0], last, bases, strict=True):
                 info["final_obs"][i] = np.concatenate((final, base))
         same = self.autoreset_mode == AutoresetMode.SAME_STEP
-        begun, self._over = (done, self._over) if same else (self._over, done)
-        self._base, self._memory = self.expert.predict(observation, self._memory, begun)
+        started, self._over = (done, self._over) if same else (self._over, done)
+        self._base, self._memory = self.expert.predict(observation, self._memory, started)
         return np.concatenate((observation, self._base), axis=1), reward, terminated, truncated, info
 
     def _predicted(
-        self, observation: NDArray[Any], mask: NDArray[np.bool_], *, held_out: bool
+        self, observation: NDArray[Any], mask: NDArray[np.bool_], *, first: bool
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
+        """Return the expert's actions and memory for n observations, those of the sub-environments in the mask (N,).
+
+        `first` is whether they are the first ones of episodes.
+        """
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
-        return self.expert.predict(observation, memory, np.full(len(observation), held_out))
+        return self.expert.predict(observation, memory, np.full(len(observation), first))
 
 
 def _replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

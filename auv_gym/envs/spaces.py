@@ -1,4 +1,4 @@
-"""What goes into environments and comes out of them: checked actions, observations with actions, references."""
+"""Checked actions, spaces of observations with actions, and references."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def checked_action(action: Any) -> list[float]:
     """Return an action as two Python floats.
 
     Raises:
-        ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
+        ValueError: it is not a numeric array or sequence of shape (2,), or is not finite.
     """
     array = np.asarray(action)
     if array.dtype.kind in "fiu" and array.shape == (2,) and not np.ma.is_masked(action):
@@ -42,7 +42,7 @@ def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
     """Return actions as an array of numbers, shape (N, 2).
 
     Raises:
-        ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
+        ValueError: they are not numbers of this shape, or not finite; the message names the first bad sub-environment.
     """
     array = np.asarray(actions)
     if array.dtype.kind not in "fiu" or array.shape != (num_envs, 2):
@@ -59,6 +59,6 @@ def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
 
 
 def with_action(space: Any) -> Any:
-    """Return the space of observations that an action is appended to."""
+    """Return the space of observations with an action appended."""
     bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
     return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)

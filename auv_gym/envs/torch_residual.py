@@ -1,4 +1,4 @@
-"""Residual control on torch tensors: an expert that computes on tensors, plus a bounded, differentiable correction."""
+"""Residual control on torch tensors: the action of an expert plus a bounded, differentiable correction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from auv_gym.task.policy import checked_authority, corrected
 
 
 class TensorExpert(Protocol):
-    """A law without memory that runs on the numbers of any namespace, as `Backstepping`."""
+    """A control law without memory that computes on any namespace, such as `Backstepping`."""
 
     def forces(self, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
         """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""
@@ -29,16 +29,16 @@ TorchLaw = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 
 
 def expert_action(law: TorchLaw, o: Observation) -> tuple[Tensor, Tensor]:
-    """Return the action of a law, surge and yaw, shape (N,) each, for observations in SI units."""
+    """Return the surge and yaw action of a control law, shape (N,) each, for observations in SI units."""
     return action_of(law(o, TENSORS), o, TENSORS)
 
 
 class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
-    """`VectorResidualAction` with tensors in and out; gradients flow through the expert as well.
+    """`VectorResidualAction` on tensors, with gradients through the expert.
 
     Args:
         env: the simulator.
-        expert: a law that computes on tensors.
+        expert: a control law that computes on tensors.
         authority: see `auv_gym.envs.residual.ResidualAction`.
 
     Raises:
@@ -69,7 +69,7 @@ class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor])
         return observation, info
 
     def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """Apply the expert's actions plus the corrections; see `TorchSimulator.step`."""
+        """Advance one control period with the expert's actions plus the corrections; see `TorchSimulator.step`."""
         command = corrected(self._base, self.authority, self.env.checked(actions), TENSORS)
         observation, reward, terminated, truncated, info = self.env.step(command)
         if "final_obs" in info:
@@ -78,13 +78,13 @@ class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor])
         return observation, reward, terminated, truncated, info
 
     def detach(self) -> Tensor:
-        """Cut the graph here and return the last observation without it; see `TorchSimulator.detach`."""
+        """Detach the graph of gradients and return the last observation; see `TorchSimulator.detach`."""
         observation, self._base = self._extended(self.env.detach())
         return observation
 
     def _extended(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return observations (N, columns + 2) with the expert's actions, and these, of float32 as every policy's."""
+        """Return observations with the expert's actions appended, (N, columns + 2), and these actions (N, 2)."""
         o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
         base = torch.stack(expert_action(self.expert.forces, o), dim=1)
-        base = base.to(torch.float32).to(observation.dtype)
+        base = base.to(torch.float32).to(observation.dtype)  # rounded as the actions of every policy
         return torch.cat((observation, base), dim=1), base

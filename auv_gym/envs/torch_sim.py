@@ -1,9 +1,9 @@
-"""The simulation on torch tensors: differentiable, compiled, on the CPU or a GPU.
+"""The simulation on torch tensors: differentiable and compiled, on the CPU or a GPU.
 
-`simulate` is the pure step, `TorchSimulator` the vector environment around it. Random numbers, plans and table look-ups
-stay on the host, outside of the compiled graph; their samples are copied to the device in blocks.
+`simulate` is the pure step, `TorchSimulator` the vector environment. Random numbers and plans are computed on the host,
+outside of the compiled graph. Their samples are copied to the device in blocks.
 
-Back-propagation through time needs no more than the environment itself, since `step` keeps the graph of the action:
+`step` keeps the graph of the action, so back-propagation through time works directly:
 
     sim = TorchSimulator(256, "cruise-storm")
     observation, _ = sim.reset(seed=0)
@@ -32,9 +32,9 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from auv_gym.envs.lanes import Begun, Lanes, ScenarioLike
+from auv_gym.envs.sub_environments import ScenarioLike, StartedEpisodes, SubEnvironments
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.physics.namespaces import Indices, tensors
+from auv_gym.physics.namespaces import tensors
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.vehicles import VehicleModel
@@ -46,19 +46,19 @@ from auv_gym.task.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_RO
 logger = logging.getLogger(__name__)
 
 TENSORS = tensors()  # the namespace of tensors
-_PLAIN = Parts()  # nothing but vehicle and actuators in use
+_PLAIN = Parts()  # vehicle and actuators only
 CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
-"""Option of `torch.compile`: tables of places and scales are not looked through for changes at every call."""
+"""Option of `torch.compile`: constant tables are not checked for changes at every call."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}  # by name
 
 
 class TorchTransition(NamedTuple):
-    """What one control step gives; tensors of the state's type."""
+    """The results of a control step; tensors of the type of the state."""
 
     state: Tensor  # shape (PLANT_ROWS, N)
     observation: Tensor  # shape (SIZE, N)
     reward: Tensor  # shape (N,)
-    done: Tensor  # 1 where the vehicle is lost, else 0, shape (N,)
+    done: Tensor  # 1 where the episode has failed, else 0, shape (N,)
     squared_error: Tensor  # [m^2] of the position, shape (N,)
     saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
 
@@ -66,14 +66,14 @@ class TorchTransition(NamedTuple):
 def simulate(
     state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = _PLAIN
 ) -> TorchTransition:
-    """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
+    """Return the results of `simulation.step` for N vehicles, differentiable with respect to state and action.
 
     Args:
         state: the rows of a `simulation.Plant`, shape (PLANT_ROWS, N).
         action: surge and yaw command as fractions of the limits, shape (2, N).
         sample: the rows of a `simulation.Sample`, shape (SAMPLE_ROWS, N).
         parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
-        parts: what is in use.
+        parts: the parts of the simulation in use.
     """
     p = Parameters.of(parameters.unbind(), parts)
     plant, terms, (reward, failed, squared_error, saturated) = simulation.step(
@@ -87,22 +87,22 @@ def simulate(
 def step_function(
     device: torch.device, dtype: torch.dtype, parts: Parts, compiled: bool
 ) -> Callable[..., TorchTransition]:
-    """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
+    """Return `simulate` for these constants, compiled if requested and possible on the device.
 
-    Compiling takes up to a minute, once a process; torch keeps the result on the disk for the next ones.
+    Compilation takes up to a minute per process. torch caches the result on disk for later processes.
     """
     eager = partial(simulate, parts=parts)
     if not (compiled and can_compile(device)):
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
     step: Callable[..., TorchTransition] = torch.compile(eager, dynamic=True, fullgraph=True, options=CONSTANT_GLOBALS)
-    with torch._dynamo.config.patch(specialize_float=True):  # our floats are constants
+    with torch._dynamo.config.patch(specialize_float=True):  # floats are constants here
         return step if _runs(step, *_ones(device, dtype)) else eager
 
 
 @cache
 def can_compile(device: torch.device) -> bool:
-    """Return whether torch compiles for the device, tried out once; if not, a warning says what is missing."""
+    """Return whether torch can compile for the device; if not, warn what is missing."""
     return _runs(torch.compile(torch.sin), torch.ones(8, device=device))
 
 
@@ -114,7 +114,7 @@ def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
     try:
         with torch.no_grad():
             function(*inputs)
-    except RuntimeError as error:  # every error of torch's compiler is one
+    except RuntimeError as error:  # base class of all errors of torch's compiler
         warnings.warn(
             "the simulation step cannot be compiled, so it runs eagerly and several times slower; torch.compile needs "
             f"a C++ compiler such as g++ on the PATH (torch says: {str(error).strip().splitlines()[0]})",
@@ -126,29 +126,28 @@ def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
 
 
 class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
-    """The vector environment with tensors in and out; see `UnderactuatedAUVTrackVectorEnv` for what it runs.
+    """The vector environment on tensors; see `UnderactuatedAUVTrackVectorEnv` for the task.
 
-    Where an episode ends in mode SAME_STEP, `info["final_obs"]` (N, columns) holds the observations before the reset,
-    and `info["_final_obs"]` (N,) says where they differ from those returned. Seeds give the NumPy environment's
-    episodes.
+    If an episode ends in mode SAME_STEP, `info["final_obs"]` (N, columns) holds the observations before the reset, and
+    `info["_final_obs"]` (N,) is the mask of these episodes. A seed gives the same episodes as in the NumPy environment.
 
-    Gradients flow from observations and rewards to the actions of every step since the last `reset` or `detach`; an
-    episode's end cuts them. An action that needs no gradient builds no graph.
+    Observations and rewards have gradients with respect to the actions of all steps since the last `reset` or `detach`,
+    but not beyond the start of an episode. Actions that require no gradient build no graph.
 
     Args:
-        num_envs: N, the number of vehicles.
-        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them, one for each vehicle.
-        vehicle: in place of the scenarios' known vehicle: a `Vehicle`, a name or a dict.
-        control_dt: control period [s] in place of the scenarios'; their duration stays.
+        num_envs: N, the number of sub-environments.
+        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them.
+        vehicle: replaces the known vehicle of the scenarios: a `Vehicle`, a name or a dict.
+        control_dt: control period [s], replaces that of the scenarios; the duration of episodes does not change.
         device: a torch device, "cpu" or "cuda".
-        dtype: "float32" or "float64", or the torch type.
+        dtype: "float32" or "float64", or the torch dtype.
         compiled: whether to compile the step.
         preview: control periods ahead at which the reference is observed, see `auv_gym.task.preview.Preview`.
         autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
-        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
+        max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
 
     Raises:
-        ValueError: an unknown type, an unavailable device, or whatever the scenarios refuse.
+        ValueError: an unknown type, an unavailable device, or a wrong scenario.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as in VectorEnv
@@ -167,19 +166,21 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         max_episode_steps: int | None = None,
     ) -> None:
         self.device, self.dtype = checked_device(device), checked_dtype(dtype)
-        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps)
-        self.autoreset_mode = self._lanes.ends.mode
+        self._sub_envs = sub_envs = SubEnvironments(
+            num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps
+        )
+        self.autoreset_mode = sub_envs.autoreset.mode
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.num_envs, self.scenarios = num_envs, self._lanes.scenarios
+        self.num_envs, self.scenarios = num_envs, sub_envs.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
-        bounds: Any = observation_bounds(self._lanes.preview.periods, self._lanes.parts.span).astype(kind)
+        bounds: Any = observation_bounds(sub_envs.preview.periods, sub_envs.parts.span).astype(kind)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._step = step_function(self.device, self.dtype, self._lanes.parts, compiled)
-        self._samples, self._block = self._tensor(self._lanes.samples), self._lanes.blocks
-        self._constants = self._tensor(self._lanes.constants)
+        self._step = step_function(self.device, self.dtype, sub_envs.parts, compiled)
+        self._samples, self._block = self._tensor(sub_envs.samples), sub_envs.blocks
+        self._constants = self._tensor(sub_envs.constants)
         self._state: Tensor | None = None
         self._observation = self._tensor(np.zeros((num_envs, len(bounds))))
 
@@ -196,89 +197,92 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Tensor, dict[str, Any]]:
-        """Start new episodes everywhere, or where `options["reset_mask"]` says; sub-environment i gets seed + i.
+        """Start new episodes in all sub-environments, or in those of `options["reset_mask"]`; i has seed + i.
 
         Raises:
             ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
         """
-        beginning = self._lanes.reset(seed, options)
-        self._state = None if len(beginning.lanes) == self.num_envs else self.state.detach()
-        self._observation = self._begin(beginning, self._observation.detach())
+        started = self._sub_envs.reset(seed, options)
+        self._state = None if len(started.indices) == self.num_envs else self.state.detach()
+        self._observation = self._begin(started, self._observation.detach())
         errors = np.zeros(self.num_envs)
-        errors[beginning.lanes] = beginning.errors
+        errors[started.indices] = started.errors
         return self._observation.clone(), self._info(self._tensor(errors), torch.zeros_like(self._observation[:, 0]))
 
-    def _begin(self, beginning: Begun, observation: Tensor) -> Tensor:
-        """Put vehicles at the start of their episodes; return the observations (N, columns) with their first ones."""
-        host, lanes = self._lanes, beginning.lanes
-        where = torch.as_tensor(lanes, device=self.device)
-        self._constants = self._constants.index_copy(1, where, self._tensor(host.constants[:, lanes]))
-        if self._block == host.blocks:
-            # A graph holds rows of earlier instants, which stay; `data` spares autograd the change of those to come.
-            self._samples.data[host.row + 1 :, :, where] = self._tensor(host.samples[host.row + 1 :, :, lanes])
-        begun = self._tensor(beginning.plant)
-        self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
-        return observation.index_copy(0, where, self._tensor(host.with_preview(beginning.seen, lanes).T))
+    def _begin(self, started: StartedEpisodes, observation: Tensor) -> Tensor:
+        """Set the first states of episodes; return the observations (N, columns) with their first ones."""
+        sub_envs, indices = self._sub_envs, started.indices
+        where = torch.as_tensor(indices, device=self.device)
+        self._constants = self._constants.index_copy(1, where, self._tensor(sub_envs.constants[:, indices]))
+        if self._block == sub_envs.blocks:
+            # A graph may hold the samples up to `row`; later ones are changed without a record by autograd.
+            later = self._tensor(sub_envs.samples[sub_envs.row + 1 :, :, indices])
+            self._samples.data[sub_envs.row + 1 :, :, where] = later
+        plant = self._tensor(started.plant)
+        self._state = plant if self._state is None else self._state.index_copy(1, where, plant)
+        return observation.index_copy(0, where, self._tensor(sub_envs.with_preview(started.seen, indices).T))
 
-    def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
-        """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""
-        host = self._lanes
-        if not host.preview.periods:
+    def _with_preview(self, rows: Tensor) -> Tensor:
+        """Return observations (SIZE, N) with their previews, (columns, N)."""
+        sub_envs = self._sub_envs
+        if not sub_envs.preview.periods:
             return rows
-        ahead = self._tensor(host.preview.ahead(lanes, host.k[lanes]))
-        o = Observation._make(rows.unbind())  # the scale of sine and cosine is 1
-        return torch.cat((rows, encode_preview(ahead, o, TENSORS, self._lanes.parts.span)))
+        ahead = self._tensor(sub_envs.preview.ahead(sub_envs.all, sub_envs.k))
+        o = Observation._make(rows.unbind())  # the preview needs sine and cosine only, whose scale is 1
+        return torch.cat((rows, encode_preview(ahead, o, TENSORS, sub_envs.parts.span)))
 
     def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """Advance every vehicle by one control period; start the next episode where one ends.
+        """Advance all vehicles by one control period, and start the next episode after the end of one.
 
-        Actions are a tensor of shape (N, 2), or an array.
+        Args:
+            actions: a tensor or an array of shape (N, 2).
 
         Raises:
-            ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
-            ResetNeeded: no episode has begun, or with DISABLED one is over; none has advanced.
+            ValueError: an action is not two finite numbers; the message names the first bad sub-environment, and no
+                vehicle has advanced.
+            ResetNeeded: no episode has begun, or an episode is over in mode DISABLED; no vehicle has advanced.
         """
-        commands, state, host = self.checked(actions), self.state, self._lanes
-        waiting = host.ends.waiting
-        host.coming()
-        if self._block != host.blocks:
-            self._samples, self._block = self._tensor(host.samples), host.blocks
-        sample = self._samples[host.row + 1]
+        commands, state, sub_envs = self.checked(actions), self.state, self._sub_envs
+        resetting = sub_envs.autoreset.resetting
+        sub_envs.next_sample()
+        if self._block != sub_envs.blocks:
+            self._samples, self._block = self._tensor(sub_envs.samples), sub_envs.blocks
+        sample = self._samples[sub_envs.row + 1]
         graph = torch.is_grad_enabled() and (commands.requires_grad or state.requires_grad)
         if graph and not state.requires_grad:
             state = state.detach().requires_grad_()
-        # Always of one layout, and all with a graph or all without: every other combination would be compiled anew.
+        # One memory layout, and a graph for all or for none: other combinations would be compiled separately.
         inputs = state, commands.T.contiguous(), sample, self._constants
         with torch.set_grad_enabled(graph):
-            landed, rows, reward, failed, squared, saturated = self._step(*inputs)
-        terminated, truncated = failed > 0.5, torch.as_tensor(host.truncating, device=self.device)
-        if waiting is not None:
-            going = torch.as_tensor(~waiting, device=self.device)
-            reward, terminated, truncated = torch.where(going, reward, 0.0), terminated & going, truncated & going
+            next_state, rows, reward, failed, squared, saturated = self._step(*inputs)
+        terminated, truncated = failed > 0.5, torch.as_tensor(sub_envs.truncating, device=self.device)
+        if resetting is not None:
+            running = torch.as_tensor(~resetting, device=self.device)
+            reward, terminated, truncated = torch.where(running, reward, 0.0), terminated & running, truncated & running
         done = terminated | truncated
         ended = done.cpu().numpy()
-        renewed = host.ends.renewed(ended)
-        planned = host.planned(renewed) if len(renewed) else []  # may be refused: nothing has changed so far
-        host.advance()
-        host.ends.advance(ended)
-        self._state = landed
-        observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
+        to_reset = sub_envs.autoreset.to_reset(ended)
+        planned = sub_envs.next_episodes(to_reset) if len(to_reset) else []  # before any change, since it may fail
+        sub_envs.advance()
+        sub_envs.autoreset.advance(ended)
+        self._state = next_state
+        observation, errors = self._with_preview(rows).T, squared.detach().sqrt()
         info: dict[str, Any] = {}
-        if planned and host.ends.mode == AutoresetMode.SAME_STEP:
+        if planned and self.autoreset_mode == AutoresetMode.SAME_STEP:
             info = {"final_obs": observation, "_final_obs": done, "_final_info": done.clone()}
             info["final_info"] = self._info(errors, saturated)
         if planned:
-            beginning = host.begin(renewed, planned)
-            observation = self._begin(beginning, observation)
-            where = torch.as_tensor(renewed, device=self.device)
-            errors = errors.index_copy(0, where, self._tensor(beginning.errors))
+            started = sub_envs.begin(to_reset, planned)
+            observation = self._begin(started, observation)
+            where = torch.as_tensor(to_reset, device=self.device)
+            errors = errors.index_copy(0, where, self._tensor(started.errors))
             saturated = saturated.index_fill(0, where, 0.0)
         info.update(self._info(errors, saturated))
         self._observation = observation.clone()
         return observation, reward, terminated, truncated, info
 
     def detach(self) -> Tensor:
-        """Cut the graph here and return the last observation, shape (N, columns), without it."""
+        """Detach state and observation from the graph of gradients; return the last observation (N, columns)."""
         self._state, self._observation = self.state.detach(), self._observation.detach()
         return self._observation.clone()
 
@@ -286,7 +290,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         """Return actions, a tensor or an array of shape (N, 2), as a tensor of the simulator's type.
 
         Raises:
-            ValueError: they are of another kind or shape, or not finite; the first bad sub-environment is named.
+            ValueError: they have another type or shape, or are not finite; the message names the first bad one.
         """
         if isinstance(actions, np.ndarray) and actions.dtype.kind in "fiu":
             actions = torch.as_tensor(actions)
@@ -303,11 +307,11 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
 
     def _info(self, errors: Tensor, saturated: Tensor) -> dict[str, Any]:
         """Return the scalar environment's info as tensors of shape (N,)."""
-        return {"position_error": errors, "saturated": saturated > 0.5, "time": self._tensor(self._lanes.time)}
+        return {"position_error": errors, "saturated": saturated > 0.5, "time": self._tensor(self._sub_envs.time)}
 
 
 def checked_device(device: str | torch.device) -> torch.device:
-    """Return the device; raise ValueError if torch does not know it or cannot reach it."""
+    """Return the device; raise ValueError if it is unknown or not available."""
     try:
         found = torch.device(device)
         torch.empty(0, device=found)
@@ -320,7 +324,7 @@ def checked_device(device: str | torch.device) -> torch.device:
 
 
 def checked_dtype(dtype: str | torch.dtype) -> torch.dtype:
-    """Return the torch type of a name or type; raise ValueError if it is not a float of 32 or 64 bits."""
+    """Return the torch dtype of a name or dtype; raise ValueError if it is not a float of 32 or 64 bits."""
     found = DTYPES.get(dtype) if isinstance(dtype, str) else dtype
     if found is None or found not in DTYPES.values():
         raise ValueError(f"dtype is {dtype!r}; it must be float32 or float64")

@@ -1,4 +1,4 @@
-"""The scalar environment: one vehicle."""
+"""The scalar environment, of one vehicle."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_seed
-from auv_gym.envs.lanes import Lanes
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
+from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Array
 from auv_gym.physics.rows import filled
 from auv_gym.physics.vehicle import Vehicle
@@ -33,21 +33,21 @@ from auv_gym.task.policy import Law
 from auv_gym.task.preview import encode_preview, observation_bounds
 from auv_gym.task.simulation import CURRENT, PLANT, REFERENCE, Parameters, Plant, current_at, ground_state
 
-_TRAIL = 1000  # past positions drawn at most
-_ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of usual actions
+_TRAIL = 1000  # largest number of past positions in a picture
+_ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of an action
 
 
 class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
-    """A torpedo-shaped AUV without a side thruster follows a trajectory in the plane, on time.
+    """Trajectory tracking in the plane by a torpedo-shaped AUV without a side thruster.
 
     ## Description
-    The vehicle of (1)-(2) in F. Repoulias and E. Papadopoulos, "Trajectory planning and tracking control of
-    underactuated AUVs", ICRA 2005. At every reset the planner of their section III makes a dynamically feasible
-    reference for the scenario's path, so that in calm water zero error is possible; current, waves, a vehicle other
-    than the known one, sensor errors and slow actuators stand against that as the scenario says.
+    The equations of motion are (1)-(2) of F. Repoulias and E. Papadopoulos, "Trajectory planning and tracking control
+    of underactuated AUVs", ICRA 2005. At every reset the planner of their section III computes a dynamically feasible
+    reference for the path of the scenario, so zero error is possible in calm water. The scenario can add current,
+    waves, model error, sensor errors and slow actuators.
 
     ## Action Space
-    `Box(-1, 1, (2,), float32)`: commands as fractions of the actuators' limits. Values beyond are clipped.
+    `Box(-1, 1, (2,), float32)`: commands as fractions of the actuator limits. Values outside are clipped.
 
     | Num | Action        | Min | Max | Unit at 1 |
     |-----|---------------|-----|-----|-----------|
@@ -55,8 +55,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     | 1   | yaw torque F_r  | -1 | 1  | `actuators.F_r_max` [N m] |
 
     ## Observation Space
-    `Box(-bound, bound, (18,), float64)`: the measured tracking errors in the body frame, the reference, and what the
-    controller knows of itself. Each term is divided by a fixed scale; `auv_gym.decode_observation` gives SI units back.
+    `Box(-bound, bound, (18,), float64)`: the measured tracking errors in the body frame, the reference, heading, limits
+    and previous action. Each term is divided by a fixed scale; `auv_gym.decode_observation` returns SI units.
 
     | Num | Term    | Unit  | Scale | Min    | Max   | Meaning |
     |-----|---------|-------|-------|--------|-------|---------|
@@ -80,37 +80,37 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     | 17  | dt      | s     | 0.125 | -80    | 80    | control period |
 
     ## Rewards
-    `1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2` with the true position error e: 1 for a perfect
-    step, positive everywhere at a steady action. The heading is not judged: under a current the crab angle is part of
-    the solution.
+    `1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2` with the true position error e. The reward is 1
+    for zero error and positive for a constant action. It does not depend on the heading, since a current requires a
+    crab angle.
 
     ## Starting State
-    On the reference at t = 0 plus the scenario's `start`: position and heading errors, and a surge velocity.
+    The reference at t = 0 plus the errors of position and heading of the scenario's `start`, with its surge velocity.
 
     ## Episode End
-    - Termination: the vehicle is lost, farther than `lost_distance` from the reference.
-    - Truncation: `steps` control steps are over. It is counted inside; no `TimeLimit` wrapper is needed. `env.spec`
-      says how many, for wrappers that ask; `gym.make(..., max_episode_steps=)` may ask for fewer.
+    - Termination: the distance to the reference exceeds `lost_distance`.
+    - Truncation: after `steps` control steps. No `TimeLimit` wrapper is needed. `env.spec.max_episode_steps` has this
+      number; `gym.make(..., max_episode_steps=)` can reduce it.
 
     ## Information
-    `reset` and `step` return `position_error` [m] (true, of the centre of mass), `saturated` (an actuator was
-    commanded to its limit) and `time` [s]. Whoever measures reads `env.unwrapped`: `state`, `reference`, `force`,
-    `current`, `time`.
+    `reset` and `step` return `position_error` [m] (true, of the centre of mass), `saturated` (whether an actuator was
+    commanded to its limit) and `time` [s]. `env.unwrapped` has the true values `state`, `reference`, `force`,
+    `current` and `time`.
 
     ## Arguments
-    - `scenario`: a `Scenario`, a dict of one, or a preset's name (`auv_gym.list_scenarios()`); default `paper-circle`.
-    - `vehicle`: in place of the scenario's known vehicle a `Vehicle` or a dict of one, which change nothing else, or a
-      name of `auv_gym.list_vehicles()` or a .toml file, which bring limits, speeds and clock of their own.
-    - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
+    - `scenario`: a `Scenario`, a dict of one, or the name of a preset (`auv_gym.list_scenarios()`); the default is
+      `paper-circle`.
+    - `vehicle`: replaces the known vehicle of the scenario. A `Vehicle` or a dict of one changes nothing else. A name
+      of `auv_gym.list_vehicles()` or a .toml file also changes limits, speeds and control period.
+    - `control_dt`: control period [s], replaces that of the scenario; the duration of episodes does not change.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
-    - `render_size`: width and height of pictures [px], from 16 to 4096; default 960 x 720. Below 320 x 240 nothing is
-      written on them.
-    - `preview`: for policies that look ahead, ascending numbers of control periods. For each of them two columns are
-      appended to the observation: the displacement x, y [m] of the reference from now to then, along the measured body
-      axes, clipped to +-64.
+    - `render_size`: width and height of pictures [px], from 16 to 4096; the default is 960 x 720. Pictures below
+      320 x 240 have no text.
+    - `preview`: ascending numbers of control periods. Each appends two columns to the observation: the displacement
+      x, y [m] of the reference from now to this time, along the measured body axes, clipped to +-64.
 
-    `reset(options=...)` takes `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s] relative to
-    the water, r [rad/s]) and `episode` (an `Episode` to run as it is).
+    `reset(options=...)` accepts `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s] relative to
+    the water, r [rad/s]) and `episode` (an `Episode` that is run).
 
     ## Version History
     - v0: initial version.
@@ -130,7 +130,11 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         preview: Sequence[int] = (),
         render_size: Sequence[int] = PICTURE,
     ) -> None:
-        """See the class; raises ValueError for whatever it does not know or cannot plan."""
+        """See the class.
+
+        Raises:
+            ValueError: an argument is wrong, or the path cannot be planned.
+        """
         self.scenario = changed(as_scenario(scenario), vehicle, control_dt)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
@@ -140,24 +144,24 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._size = checked_size(render_size)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._lanes = Lanes(1, self.scenario, None, None, preview)
-        bounds = observation_bounds(self._lanes.preview.periods, self.scenario.span)
+        self._sub_envs = SubEnvironments(1, self.scenario, None, None, preview)
+        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.span)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
         if isinstance(self.scenario.path, Path):
-            self._lanes.fixed_table(self.scenario)
+            self._sub_envs.fixed_table(self.scenario)
         self._law: Law | None = None
-        self._vehicle = OneVehicle(self.scenario.parts, self._lanes.samples, self._lanes.constants)
+        self._vehicle = OneVehicle(self.scenario.parts, self._sub_envs.samples, self._sub_envs.constants)
         self._spec: EnvSpec | None = None
-        self._k, self._row, self._block = self._steps, 0, len(self._lanes.samples)  # no episode yet
+        self._k, self._row, self._block = self._steps, 0, len(self._sub_envs.samples)  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
-        self._trail: Array = np.zeros((0, 2))  # [m] where the vehicle has been, if it is drawn
-        self._path: Array = self._trail  # [m] where the reference goes
+        self._trail: Array = np.zeros((0, 2))  # [m] past positions, if pictures are drawn
+        self._path: Array = self._trail  # [m] positions of the reference
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What it was made from; `max_episode_steps` is the scenario's unless `gym.make` was given fewer."""
+        """The spec of `gym.make`; `max_episode_steps` is that of the scenario unless it was given."""
         return self._spec
 
     @spec.setter
@@ -173,13 +177,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         Raises:
             ValueError: wrong options or a wrong seed, or an episode that cannot be planned; nothing has changed then.
         """
-        checked, seed, lanes = checked_options(options), checked_seed(seed), self._lanes
+        checked, seed, sub_envs = checked_options(options), checked_seed(seed), self._sub_envs
         rng, self_seed = (self.np_random, None) if seed is None else seeding.np_random(seed)
-        ready = lanes.ready(lanes.all, [rng], [checked])
+        ready = sub_envs.ready(sub_envs.all, [rng], [checked])
         if self_seed is not None:
             self._np_random, self._np_random_seed = rng, self_seed
-        lanes.row = 0
-        states, _ = lanes.load(lanes.all, ready)
+        sub_envs.row = 0
+        states, _ = sub_envs.load(sub_envs.all, ready)
         self._vehicle.start(states)
         self._k, self._row, self._over = 0, 0, False
         error = math.hypot(*ready[0].episodes.initial_error[:2])
@@ -187,37 +191,37 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self.render_mode is not None:
             table = ready[0].tables[0]
             self._path, self._trail = table[:, :2], np.empty((self._steps + 1, 2))
-            self._drawn()
+            self._record_position()
         observation = self._observed()
         if self._law is not None:
             self._law.check(decoded_terms(observation))
         return observation, self._info
 
     def correct(self, law: Law, authority: tuple[float, float]) -> None:
-        """Take actions as corrections to a law from now on, and append the law's action to observations.
+        """Interpret actions as corrections to a control law, and append the law's action to observations.
 
-        It is what `ResidualAction` does, in the compiled step; a new episode must begin.
+        This is `ResidualAction` in the compiled step. The next call must be `reset`.
 
         Raises:
-            TypeError: the law branches on what is observed.
+            TypeError: the law branches on values of the observation.
         """
-        lanes = self._lanes
-        self._vehicle = OneVehicle(self.scenario.parts, lanes.samples, lanes.constants, law.forces, authority)
-        self._law, lanes.forces = law, law.forces
+        sub_envs = self._sub_envs
+        self._vehicle = OneVehicle(self.scenario.parts, sub_envs.samples, sub_envs.constants, law.forces, authority)
+        self._law, sub_envs.forces = law, law.forces
         self.observation_space = with_action(self.observation_space)
         self._k, self._over = self._steps, True
 
     def _observed(self) -> Array:
-        """Return a copy of what is observed now, its preview included."""
+        """Return a copy of the present observation with its preview."""
         observation = self._vehicle.seen
-        preview = self._lanes.preview
+        preview = self._sub_envs.preview
         if not preview.periods:
             return observation.copy()
         o = Observation._make(decoded_terms(observation))
         return np.append(observation, encode_preview(preview.ahead((0,), self._k), o, ARRAYS, self.scenario.span))
 
-    def _drawn(self) -> None:
-        """Take up where the vehicle is now, and draw it if a window is to follow."""
+    def _record_position(self) -> None:
+        """Append the position to the trail, and draw it in a window."""
         self._trail[self._k] = self._vehicle.plant[[PLANT.x, PLANT.y]]
         if self.render_mode == "human":
             self.render()
@@ -228,18 +232,18 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def _sample(self) -> list[float]:
-        numbers: list[float] = self._lanes.samples[self._row].ravel().tolist()
+        numbers: list[float] = self._sub_envs.samples[self._row].ravel().tolist()
         return numbers
 
     @property
     def _V(self) -> tuple[float, float]:
-        """The current of the sample, without its shear."""
+        """The current of the present sample, without shear."""
         V_x, V_y = self._sample[CURRENT]
         return V_x, V_y
 
     @property
     def _parameters(self) -> Parameters:
-        return Parameters.of(self._lanes.constants.ravel().tolist(), self.scenario.parts)
+        return Parameters.of(self._sub_envs.constants.ravel().tolist(), self.scenario.parts)
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance one control period; see `gymnasium.Env.step`.
@@ -249,7 +253,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             ResetNeeded: the episode is over, or none has begun.
         """
         if type(action) is _ARRAY and action.dtype in _REAL and action.shape == _SHAPE:
-            surge, yaw = action.tolist()  # as `checked_action` does, in half the time
+            surge, yaw = action.tolist()  # the same as `checked_action` in half the time
             if not surge - surge == 0.0 == yaw - yaw:
                 checked_action(action)
         else:
@@ -259,7 +263,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._k = k = self._k + 1
         self._row = row = self._row + 1
         if row == self._block:
-            self._lanes.read()
+            self._sub_envs.read()
             self._row = row = 0
         vehicle = self._vehicle
         vehicle.action[0], vehicle.action[1] = surge, yaw
@@ -269,7 +273,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": k * self._dt}
         if self.render_mode is not None:
-            self._drawn()
+            self._record_position()
         return self._observed(), reward, terminated, truncated, self._info
 
     @property
@@ -279,17 +283,17 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def reference(self) -> ReferencePoint:
-        """The reference at this time, SI units."""
+        """The reference at this time in SI units."""
         return ReferencePoint(*self._sample[REFERENCE])
 
     @property
     def force(self) -> Array:
-        """F_u [N], F_r [N m] that the actuators apply at this time; shape (2,)."""
+        """F_u [N], F_r [N m] of the actuators at this time; shape (2,)."""
         return np.array((self._plant.F_u, self._plant.F_r))
 
     @property
     def current(self) -> Array:
-        """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
+        """Current V_x, V_y [m/s] in the world frame at the position of the vehicle; shape (2,)."""
         plant = self._plant
         return np.array(current_at(plant.x, plant.y, self._V, self._parameters, FLOATS))
 
@@ -299,7 +303,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return self._k * self._dt
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the vehicle, its plan and the sea: an array (H, W, 3) of uint8, or None for a window."""
+        """Draw the scene; return an array (H, W, 3) of uint8, or None in mode "human"."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="human" or "rgb_array" in gym.make')
             return None
@@ -323,7 +327,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return self._renderer.draw(view)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but what draws, which a copy makes again."""
+        """Return all attributes except the renderer."""
         return {**self.__dict__, "_renderer": None}
 
     def close(self) -> None:

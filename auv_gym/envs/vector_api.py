@@ -1,4 +1,4 @@
-"""Gymnasium's interface of vector environments, under one name in each of its releases that are supported."""
+"""The vector environment interface of Gymnasium, under the same names for all supported releases."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ else:
     if not VectorWrapper.__parameters__:  # before 1.2
 
         class VectorWrapper(VectorWrapper):
-            """The same, which takes the types of observations and actions and forgets them."""
+            """The wrapper of Gymnasium with type parameters, which are ignored."""
 
             def __class_getitem__(cls, _: Any) -> Any:
                 return cls
@@ -29,21 +29,21 @@ else:
     except ImportError:  # before 1.1
 
         class AutoresetMode(Enum):
-            """When a sub-environment whose episode has ended begins the next one."""
+            """When a sub-environment begins the next episode after the end of one."""
 
             NEXT_STEP = "NextStep"
             SAME_STEP = "SameStep"
             DISABLED = "Disabled"
 
 
-__all__ = ["AutoresetMode", "Ends", "VectorEnv", "VectorWrapper", "checked_mode"]
+__all__ = ["Autoreset", "AutoresetMode", "VectorEnv", "VectorWrapper", "checked_mode"]
 
 
 def checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """Return an autoreset mode that is given as it is, or by its value such as "NextStep".
+    """Return an autoreset mode, for the mode itself or its value, such as "NextStep".
 
     Raises:
-        ValueError: there is no such mode.
+        ValueError: the mode does not exist.
     """
     try:
         return AutoresetMode(mode)
@@ -52,16 +52,16 @@ def checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
         raise ValueError(f"unknown autoreset_mode {mode!r}; allowed are {allowed}, or an AutoresetMode") from None
 
 
-class Ends:
-    """Which of N episodes have ended, and which of them begin anew with a step, as an autoreset mode says.
+class Autoreset:
+    """The sub-environments whose episodes are over, and those that a step resets in an autoreset mode.
 
     Args:
-        num_envs: N.
-        mode: when an episode that has ended is followed by the next one.
+        num_envs: N, the number of sub-environments.
+        mode: when the next episode begins after the end of one.
 
     Attributes:
-        mode: the same.
-        over: where an episode has ended and none has begun since, shape (N,).
+        mode: the mode.
+        over: whether an episode is over and the next one has not begun, shape (N,).
     """
 
     def __init__(self, num_envs: int, mode: AutoresetMode) -> None:
@@ -69,26 +69,26 @@ class Ends:
         self.over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
 
     @property
-    def waiting(self) -> NDArray[np.bool_] | None:
-        """Where the coming step is a reset, shape (N,); None if nowhere.
+    def resetting(self) -> NDArray[np.bool_] | None:
+        """Whether the next step of each sub-environment is a reset, shape (N,); None if no step is one.
 
         Raises:
-            ResetNeeded: nothing resets by itself, and an episode is over.
+            ResetNeeded: the mode is DISABLED, and an episode is over.
         """
         if self.mode == AutoresetMode.SAME_STEP or not self.over.any():
             return None
         if self.mode == AutoresetMode.DISABLED:
-            lanes = np.flatnonzero(self.over).tolist()
-            raise ResetNeeded(f"the episodes of sub-environments {lanes} are over: reset them by options['reset_mask']")
+            indices = np.flatnonzero(self.over).tolist()
+            raise ResetNeeded(f"the episodes of sub-environments {indices} are over: reset them with 'reset_mask'")
         return self.over
 
-    def renewed(self, done: NDArray[np.bool_]) -> NDArray[Any]:
-        """Return the indices of those that begin anew with a step which ends episodes where `done` says."""
+    def to_reset(self, done: NDArray[np.bool_]) -> NDArray[Any]:
+        """Return the indices of the sub-environments that a step resets, if it ends the episodes `done`, shape (N,)."""
         if self.mode == AutoresetMode.SAME_STEP:
             return done.nonzero()[0]
         return self.over.nonzero()[0] if self.mode == AutoresetMode.NEXT_STEP else np.zeros(0, dtype=np.int64)
 
     def advance(self, done: NDArray[np.bool_]) -> None:
-        """Take note of what a step has ended."""
+        """Store which episodes a step has ended, shape (N,)."""
         if self.mode != AutoresetMode.SAME_STEP:
             self.over = done.copy()

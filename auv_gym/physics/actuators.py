@@ -13,11 +13,11 @@ from auv_gym.physics.intervals import Interval, check_interval, check_number
 from auv_gym.physics.namespaces import Namespace, Number
 
 LONGEST_DELAY = 3
-"""Most control periods that a command may be late."""
+"""Largest delay of a command, in control periods."""
 LARGEST_FORCE = 1e9
 """Largest limit of an actuator, in its SI unit."""
 LEAST_SHARE = 1 / 64
-"""Least share of the yaw torque that fins are taken to have where what they have is told: at rest they have none."""
+"""Lower bound of the fins' share of F_r_max in observations and laws; at rest the true share is zero."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Actuators:
     lag: Interval = 0.0  # [s] time constant of the first-order response of both
     F_u_rate: float = math.inf  # [N/s]
     F_r_rate: float = math.inf  # [N m/s]
-    effectiveness: Interval = 1.0  # share of the commanded force that acts, drawn for each of the two; nobody is told
-    reach: Interval = 1.0  # action at which an actuator really saturates, drawn for each of the two; nobody is told
-    delay: Interval = 0.0  # control periods until a command acts, drawn and rounded; nobody is told
+    effectiveness: Interval = 1.0  # acting share of the command, drawn for each actuator; unknown to policies
+    reach: Interval = 1.0  # action at which an actuator saturates, drawn for each actuator; unknown to policies
+    delay: Interval = 0.0  # control periods until a command acts, drawn and rounded; unknown to policies
     fin: float = 0.0  # [kg] yaw torque of full fins per squared speed through water, up to F_r_max; 0: no fins, F_r_max
     astern: float = 1.0  # share of F_u_max that the thruster gives astern
 
@@ -49,13 +49,13 @@ class Actuators:
 
 
 def fin_share(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
-    """Return which share of F_r_max [N m] full fins give at a surge speed u [m/s] through water; without fins 1."""
+    """Return the share of F_r_max that full fins give at a surge speed u [m/s] through water; 1 without fins."""
     share = fin * u * u / F_r_max
     return ns.where((fin > 0.0) & (share < 1.0), share, 1.0)
 
 
-def told_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
-    """Return the yaw torque [N m] that full fins are taken to give at a measured surge speed u [m/s], over ground."""
+def known_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+    """Return the nominal yaw torque [N m] of full fins at a measured surge speed u [m/s] over ground."""
     share = fin_share(u, fin, F_r_max, ns)
     return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
 
@@ -64,8 +64,8 @@ def ordered(command: Force, u: Number, p: Any, ns: Namespace) -> Force:
     """Return the force [N] and torque [N m] that reach the actuators, before their lag.
 
     Args:
-        command: as fractions of what action 1 gives.
-        u: surge speed [m/s] through water, which fins need.
+        command: fractions of the force and torque of action 1.
+        u: surge speed [m/s] through water, for the torque of fins.
         p: the episode's constants, `simulation.Parameters`.
         ns: the namespace of the numbers.
     """
@@ -77,7 +77,7 @@ def ordered(command: Force, u: Number, p: Any, ns: Namespace) -> Force:
 class Response(NamedTuple):
     """One control step of the actuators: floats, or rows of shape (N,)."""
 
-    gain: Number  # share of the way to the command made in one step, 1 - exp(-dt/lag)
+    gain: Number  # share of the difference to the command that one step removes, 1 - exp(-dt/lag)
     mean: Number  # mean of the change over the step, as a share of the change at its end
     slew_u: Number  # [N] largest change in one step
     slew_r: Number  # [N m]

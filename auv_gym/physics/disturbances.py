@@ -1,7 +1,7 @@
-"""What the sea and a wrong model do: ocean current, waves as body forces, vehicle mismatch.
+"""The disturbances: ocean current, waves as body forces, and a mismatch between true and nominal vehicle.
 
-Each disturbance has a `Random...` class, the distribution that a scenario names, whose `draw` gives the plain object
-that one episode meets, or one whose numbers are rows of shape (N,) for N episodes.
+Each disturbance has a `Random...` class, the distribution in a scenario. Its `draw` returns the disturbance of one
+episode, or of N episodes with rows of shape (N,).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -26,17 +26,17 @@ class Current:
 
     The gust is an Ornstein-Uhlenbeck process smoothed by a first-order filter, as Fossen (2021, section 10.3) models
     slowly varying currents. The shear is a parallel flow whose speed is a sine across it, so that it is free of
-    divergence; a vehicle is small beside its wave length and feels the current at its centre. That the water's
-    velocity changes as the vehicle moves through the shear is left out of its inertia, see `dynamics`.
+    divergence. Its wave length is large, so the current at the centre of the vehicle acts. The change of the water's
+    velocity along the path of the vehicle does not enter the inertia forces, see `dynamics`.
     """
 
     V_x: float = 0.0  # [m/s] mean, in the world
     V_y: float = 0.0  # [m/s]
     gust: float = 0.0  # [m/s] standard deviation of the process on each axis, before smoothing
     gust_time: float = 20.0  # [s] its correlation time
-    smoothing: float = 2.0  # [s] time constant of the filter behind it
+    smoothing: float = 2.0  # [s] time constant of the smoothing filter
     cap: float = math.inf  # largest speed of mean plus gust, as a fraction of the path's slowest speed
-    turn: float = 0.0  # [rad/s] how fast the mean turns
+    turn: float = 0.0  # [rad/s] rate of turn of the mean
     shear: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # see `simulation.Shear`
 
 
@@ -45,15 +45,15 @@ class RandomCurrent:
     """Distribution of the current; speeds are fractions of the path's nominal speed, or [m/s] if not `relative`."""
 
     speed: Interval = 0.0  # mean speed
-    direction: Interval = (-math.pi, math.pi)  # [rad] where the mean flows to
+    direction: Interval = (-math.pi, math.pi)  # [rad] direction in which the mean flows
     gust: float = 0.0  # standard deviation of the gust on each axis
     gust_time: float = 20.0  # [s]
     smoothing: float = 2.0  # [s]
     cap: float = math.inf  # largest speed of mean plus gust, always as a fraction of the path's slowest speed
     relative: bool = True
     turn: Interval = 0.0  # [rad/s] how fast the mean turns
-    shear: Interval = 0.0  # amplitude of a flow that varies like a sine across itself, of any direction
-    wavelength: Interval = 40.0  # [m] of it
+    shear: Interval = 0.0  # amplitude of a parallel flow that varies like a sine across its direction
+    wavelength: Interval = 40.0  # [m] of the shear
 
     def __post_init__(self) -> None:
         check_interval("current speed", self.speed, 0, 1e3)
@@ -93,7 +93,7 @@ class RandomCurrent:
 
 @dataclass(frozen=True)
 class Waves:
-    """First-order wave forces on the hull: a sum of sines of equal amplitude on each axis."""
+    """First-order wave forces on the vehicle: a sum of sines of equal amplitude on each axis."""
 
     surge: float  # [N] root mean square
     sway: float  # [N]
@@ -138,9 +138,11 @@ class RandomWaves:
 
 @dataclass(frozen=True)
 class RandomMismatch:
-    """Distribution of the true vehicle about the known one, as factors; m22 stays above m11.
+    """Distribution of the true vehicle about the nominal one, as factors; m22 stays above m11.
 
-    The factor of a drag is that of its linear and quadratic part, and of the lift that grows with the surge velocity.
+    The factor of a drag applies to its linear and quadratic part, and to the lift, which grows with the surge velocity.
+    Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
+    loss in turns has the factor of the surge drag.
     """
 
     mass: Interval = 1.0  # on m11 and m22 together
@@ -162,7 +164,7 @@ class RandomMismatch:
             check_number("mismatch quadratic_drag", value, 0, LARGEST_PARAMETER)
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise ValueError if some draw about this vehicle would be none, its m22 too close to m11 for example."""
+        """Raise ValueError if a draw for this vehicle can be invalid, for instance with m22 too close to m11."""
         lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
         least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
         if lowest < least:
@@ -170,18 +172,20 @@ class RandomMismatch:
                 f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
             )
         for end in (0.0, 1.0):
-            Vehicle(*self._coefficients(lambda end=end: end, vehicle))  # type: ignore[misc]
+            coefficients, cross_flow = self._drawn(lambda end=end: end, vehicle)  # type: ignore[misc]
+            Vehicle(*coefficients, **({} if cross_flow is None else cross_flow._asdict()))
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
-        return Vehicle.unchecked(self._coefficients(uniform, vehicle))
+        return Vehicle.unchecked(*self._drawn(uniform, vehicle))
 
-    def _coefficients(self, uniform: Uniform, vehicle: Vehicle) -> Coefficients:
+    def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossFlow | None]:
+        """Return the parameters of one true vehicle; None without cross-flow."""
         mass, ratio, m33, d11, d22, d33, q = (
             draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
         )
         X_uu, Y_vv, N_rr = self.quadratic_drag
-        return Coefficients(
+        coefficients = Coefficients(
             vehicle.m11 * mass,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33,
@@ -196,18 +200,19 @@ class RandomMismatch:
             vehicle.N_uv,
             vehicle.N_ur * d33,
         )
+        return coefficients, _crossed(vehicle, d11, d22, d33) if any(vehicle.cross_flow) else None
 
-    def extremes(self, vehicle: Vehicle) -> Coefficients:
-        """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows.
+    def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
+        """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
 
-        More quadratic drag is a faster decay, less lets a vehicle become faster.
+        Much quadratic drag gives a fast decay; little drag allows high speeds.
         """
         (mass, _), (m33, _) = (_ends(x) for x in (self.mass, self.m33))
         corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33, self.quadratic)))
         ratio, d11, d22, d33, q = np.array([*corners]).T
         X_uu, Y_vv, N_rr = self.quadratic_drag
         one = np.ones_like(ratio)
-        return Coefficients(
+        coefficients = Coefficients(
             vehicle.m11 * mass * one,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33 * one,
@@ -222,6 +227,14 @@ class RandomMismatch:
             vehicle.N_uv * one,
             vehicle.N_ur * d33,
         )
+        return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_flow) else coefficients
+
+
+def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossFlow:
+    """Return the cross-flow of a vehicle whose drags are multiplied by factors, floats or rows."""
+    least = d22 + (d33 - d22) * (d33 < d22)
+    factors = (d11 if name[0] == "X" else least for name in CrossFlow._fields)
+    return CrossFlow(*(c * factor for c, factor in zip(vehicle.cross_flow, factors, strict=True)))
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

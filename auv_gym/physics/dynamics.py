@@ -1,4 +1,4 @@
-"""The equations of motion (1)-(2), with ocean current, quadratic drag, lift and external forces: their only copy.
+"""The equations of motion (1)-(2), with ocean current, drag, lift, cross-flow and external forces: their only copy.
 
 Written on components, so that they run on floats, NumPy arrays, torch tensors and symbols alike.
 
@@ -22,7 +22,7 @@ State: TypeAlias = tuple[Number, Number, Number, Number, Number, Number]
 Force: TypeAlias = tuple[Number, Number]
 """F_u [N], F_r [N m]."""
 Load: TypeAlias = tuple[Number, Number, Number]
-"""Total force on the hull in the body frame: surge [N], sway [N], yaw [N m]; the vehicle alone makes (F_u, 0, F_r)."""
+"""Total force on the vehicle in the body frame: surge [N], sway [N], yaw [N m]; its actuators give (F_u, 0, F_r)."""
 CurrentVelocity: TypeAlias = tuple[Number, Number]
 """V_x, V_y [m/s] of the water in the world."""
 
@@ -34,17 +34,24 @@ def rates(
 ) -> tuple[Number, Number, Number, Number, Number]:
     """Return x_dot, y_dot [m/s] in still water, u_dot, v_dot [m/s^2] and r_dot [rad/s^2]; psi_dot is r, (1c).
 
-    The coefficients are a vehicle's `Coefficients`, or those `without_lift`. A foil damps astern as it does ahead, so
-    lift goes with |u|; the sources, which look ahead alone, write u.
+    The coefficients are `Vehicle.acting`: a vehicle's `Coefficients` and its `CrossFlow`, or the first of them alone,
+    or those `without_lift`. A foil damps astern as it does ahead, so lift goes with |u|; the sources, which look ahead
+    alone, write u. Signs of the cross-flow terms: see `auv_gym.physics.vehicle.Vehicle`.
     """
-    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *lift = coefficients
+    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *more = coefficients
     X, Y, N = load
     sway, munk = m11 * u, (m11 - m22) * u
-    if lift:
-        Y_uv, Y_ur, N_uv, N_ur = lift
+    if more:
+        Y_uv, Y_ur, N_uv, N_ur, *cross = more
         speed = abs(u)
         sway, munk = sway - Y_ur * speed, munk + N_uv * speed
         d22, d33 = d22 + Y_uv * speed, d33 + N_ur * speed
+        if cross:
+            X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr = cross
+            slip, turn = abs(v), abs(r)
+            X = X - (X_vv * v + X_vr * r) * v - X_rr * r * r
+            Y = Y - Y_rv * turn * v - (Y_vr * slip + Y_rr * turn) * r
+            N = N - (N_vv * slip + N_rv * turn) * v - N_vr * slip * r
     c, s = ns.cos(psi), ns.sin(psi)
     return (
         u * c - v * s,  # (1a)

@@ -1,4 +1,4 @@
-"""A number that is either known or drawn uniformly from an interval, and the checks that all parameters share."""
+"""Numbers that are fixed or drawn uniformly from an interval, and checks of parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from auv_gym.physics.namespaces import Number
 Interval: TypeAlias = float | tuple[float, float]
 """A fixed value, or (low, high) for a uniform distribution."""
 Uniform: TypeAlias = Callable[[], Number]
-"""Returns the next number of an independent uniform stream in [0, 1), or a row of those of N streams."""
+"""A function that returns the next number of a uniform stream in [0, 1), or of N streams, shape (N,)."""
 
 
 def draw(interval: Interval, uniform: Uniform) -> Number:
-    """Return the fixed value, or a number from the interval; one number of the stream is used either way."""
+    """Return the fixed value, or a number from the interval; both use one number of the stream."""
     u = uniform()
     if isinstance(interval, tuple):
         low, high = interval
@@ -32,9 +32,10 @@ def signed(value: Number, uniform: Uniform) -> Number:
 
 
 def by_library(function: Callable[[float], float]) -> Callable[[Number], Number]:
-    """Return a function of the C library for a float, or for each number of a row.
+    """Return a function of the C library that also takes rows.
 
-    NumPy's may differ from it in the last digit, and an episode shall not depend on how many are drawn at once.
+    NumPy's functions may differ in the last digit, but an episode must not depend on the number of episodes that are
+    drawn at once.
     """
 
     def apply(x: Number) -> Number:
@@ -44,13 +45,13 @@ def by_library(function: Callable[[float], float]) -> Callable[[Number], Number]
 
 
 def mean_square(interval: Interval) -> float:
-    """Return the mean of the square of what is drawn."""
+    """Return the mean square of the drawn number."""
     low, high = interval if isinstance(interval, tuple) else (interval, interval)
     return (low * low + low * high + high * high) / 3
 
 
 def is_float(value: object) -> bool:
-    """Whether a value is a number, and no integer that is too large to compute with; nan is none, infinity is one."""
+    """Return whether a value is a number that a float can represent; infinity is one, nan is not."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return not math.isnan(value) if isinstance(value, float) else abs(value) <= sys.float_info.max

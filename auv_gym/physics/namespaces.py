@@ -1,4 +1,4 @@
-"""Elementary functions for each kind of number, so that every equation is written once.
+"""Elementary functions for each kind of number, so that each equation has one copy.
 
 An equation takes a `Namespace` and runs unchanged on Python floats (`FLOATS`), NumPy arrays (`ARRAYS`) and torch
 tensors (`tensors()`). Functions that need no more than `sin` and `cos` also accept `sympy` in its place.
@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Number: TypeAlias = Any
-"""A float, an array, a tensor or a symbol: whatever the namespace beside it computes with."""
+"""A float, an array, a tensor or a symbol, as the namespace computes with."""
 Array: TypeAlias = NDArray[np.float64]
 """An array of double precision."""
 AnyArray: TypeAlias = NDArray[Any]
 """An array of any kind of numbers."""
 Indices: TypeAlias = NDArray[np.int64]
-"""Whole numbers, such as which vehicles are meant."""
+"""An array of integers, for instance the indices of vehicles."""
 
 
 class Constants(NamedTuple):
@@ -34,14 +34,14 @@ class Constants(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Any) -> Constants:
-        """Return these numbers as constants."""
+        """Return the constants of n numbers."""
         array = np.array(tuple(numbers))
         return cls(tuple(array.tolist()), array, array[:, None])
 
 
 @dataclass(frozen=True, slots=True)
 class Namespace:
-    """The elementary functions of one kind of number, named as in NumPy, and how rows of them meet constants."""
+    """The elementary functions of one kind of number, named as in NumPy, and operations of rows with constants."""
 
     sin: Callable[[Number], Number]
     cos: Callable[[Number], Number]
@@ -54,9 +54,9 @@ class Namespace:
     floor: Callable[[Number], Number]
     clip: Callable[[Number, Number, Number], Number]
     where: Callable[[Number, Number, Number], Number]
-    scaled: Callable[[Any, Constants], Any]  # rows, or components in a sequence, times a constant each: rows
-    bounded: Callable[[Any, Constants], Any]  # rows within +- a constant each
-    stack: Callable[..., Any]  # a sequence of rows as one array; the axis that counts them, the first by default
+    scaled: Callable[[Any, Constants], Any]  # rows, or a sequence of components, each times its constant; returns rows
+    bounded: Callable[[Any, Constants], Any]  # rows, each clipped to +- its constant
+    stack: Callable[..., Any]  # a sequence of rows as one array along an axis, the first one by default
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -84,7 +84,7 @@ def _bounded_floats(rows: Any, bounds: Constants) -> Any:
 
 
 def _scaled_arrays(rows: Any, factors: Constants) -> Any:
-    scaled = np.array(rows, dtype=np.float64)  # a row stays one in memory: transposing would cost a tenth of a step
+    scaled = np.array(rows, dtype=np.float64)  # rows stay contiguous: transposing takes a tenth of the time of a step
     scaled *= factors.column
     return scaled
 
@@ -93,7 +93,7 @@ def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
     return _clip_array(rows, -bounds.column, bounds.column)
 
 
-_floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
+_floor = (1.0).__rfloordiv__  # as math.floor, but also for nan and infinity
 FLOATS = Namespace(
     sin=math.sin,
     cos=math.cos,
@@ -141,7 +141,7 @@ def tensors() -> Namespace:
     def clip(x: Any, low: Any, high: Any) -> Any:
         if isinstance(low, torch.Tensor) == isinstance(high, torch.Tensor):
             return torch.clamp(x, low, high)
-        return torch.clamp(torch.clamp(x, min=low), max=high)  # it takes two numbers or two tensors at once
+        return torch.clamp(torch.clamp(x, min=low), max=high)  # torch.clamp takes two numbers or two tensors
 
     def bounded(rows: Any, bounds: Constants) -> Any:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]

@@ -1,7 +1,7 @@
-"""Navigation under water: between rare position fixes the position is reckoned from a Doppler log and a gyro.
+"""Navigation under water: dead reckoning with a Doppler log and a gyro between rare position fixes.
 
-The log measures the velocity over ground, wrong by a scale and by its alignment with the gyro, whose heading drifts.
-The estimate of the position adds up what they measure (`simulation.step`), and a filter takes on a share of each fix.
+The log measures the velocity over ground, with an error of scale and of alignment with the gyro, whose heading drifts.
+The estimated position is the sum of the measured velocities (`simulation.step`), and a filter corrects it at each fix.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from auv_gym.physics.namespaces import Array
 class Reckoning:
     """The dead reckoning of an episode."""
 
-    fixes: tuple[float, ...] = ()  # [s] when a position fix comes, but for the one at the start
-    scale: float = 0.0  # error of the measured velocity as a share of it
-    misalignment: float = 0.0  # [rad] of the log to the gyro
+    fixes: tuple[float, ...] = ()  # [s] times of the position fixes, without the one at the start
+    scale: float = 0.0  # relative error of the measured velocity
+    misalignment: float = 0.0  # [rad] angle between log and gyro
     drift: float = 0.0  # [rad/s] of the measured heading
 
 
 @dataclass(frozen=True)
 class RandomReckoning:
-    """Distribution of a dead reckoning between position fixes; the defaults are those of small survey vehicles.
+    """Distribution of the dead reckoning between position fixes; the defaults are for small survey vehicles.
 
-    A log of 0.5 % is that of Tang, Wang, Li and Wu, "A novel INS and Doppler sensors calibration method for long range
-    underwater vehicle navigation", Sensors 13 (2013); a gyro of 3 deg/h and 0.34 deg/sqrt(h) that of the simulated
-    vehicle in Sensors 17 (2017) 415, table 2. Paull, Saeedi, Seto and Li, IEEE Journal of Oceanic Engineering 39 (2014)
-    131, review such systems. The misalignment is a choice of ours.
+    The error of 0.5 % of the log is that of Tang, Wang, Li and Wu, "A novel INS and Doppler sensors calibration method
+    for long range underwater vehicle navigation", Sensors 13 (2013); the gyro's 3 deg/h and 0.34 deg/sqrt(h) are those
+    of the simulated vehicle in Sensors 17 (2017) 415, table 2. Paull, Saeedi, Seto and Li, IEEE Journal of Oceanic
+    Engineering 39 (2014) 131, review such systems. The misalignment is an assumption.
     """
 
     interval: Interval = (10.0, 30.0)  # [s] from one position fix to the next
-    scale: Interval = (-0.005, 0.005)  # error of the measured velocity as a share of it
-    misalignment: Interval = (-0.005, 0.005)  # [rad] of the log to the gyro
+    scale: Interval = (-0.005, 0.005)  # relative error of the measured velocity
+    misalignment: Interval = (-0.005, 0.005)  # [rad] angle between log and gyro
     drift: Interval = (-1.5e-5, 1.5e-5)  # [rad/s] of the measured heading, 1e-5 are 2.06 deg/h
     walk: float = 1e-4  # [rad/sqrt(s)] random walk of the measured heading, 1e-4 are 0.344 deg/sqrt(h)
 
@@ -57,9 +57,9 @@ class RandomReckoning:
         return Reckoning(tuple(times[times <= duration].tolist()), scale, misalignment, drift)
 
     def mean_square_drift(self, heading_bias: Interval, duration: float) -> float:
-        """Return the mean square error of the reckoned way on one axis, as a share of the way.
+        """Return the mean square error of the reckoned displacement on one axis, relative to its square.
 
-        It is the mean over the distribution, over the directions of the way, and over an episode of that duration [s].
+        It is the mean over the distribution, over the directions of motion, and over an episode of that duration [s].
         """
         angle = mean_square(heading_bias) + mean_square(self.misalignment)
         angle += mean_square(self.drift) * duration**2 / 3 + self.walk**2 * duration / 2
@@ -67,9 +67,9 @@ class RandomReckoning:
 
 
 def heading_errors(drift: float, walk: float, dt: float, instants: int, rng: np.random.Generator) -> Array:
-    """Return what drift [rad/s] and random walk [rad/sqrt(s)] make of the heading [rad] at control instants dt apart.
+    """Return the heading errors [rad] at instants dt [s] apart, of a drift [rad/s] and a random walk [rad/sqrt(s)].
 
-    The first one has no error.
+    The first error is zero.
     """
     steps = drift * dt + walk * math.sqrt(dt) * rng.standard_normal(instants)
     steps[0] = 0.0
@@ -78,24 +78,24 @@ def heading_errors(drift: float, walk: float, dt: float, instants: int, rng: np.
 
 @dataclass(frozen=True)
 class FixFilter:
-    """The filter that decides which share of a position fix is taken on; it knows how good the sensors are.
+    """The gain of the position fixes, from the variances of the sensors.
 
-    It is a Kalman filter of the position on one axis in which the drift, a constant that it does not estimate, is
+    It is that of a Kalman filter of the position on one axis in which the drift, a constant that is not estimated, is
     considered (Schmidt, Advances in Control Systems 3 (1966) 293): the variance P of the position's error and its
     covariance C with the drift, in units of the drift's standard deviation, give the gain K = P / (P + fix^2).
     """
 
     fix: float  # [m] standard deviation of a fix on one axis
-    drift: float  # mean square error of the reckoned way, as a share of the way squared
+    drift: float  # mean square error of the reckoned displacement, relative to its square
     bias: float  # [m^2/s^2] mean square of the velocity's bias
-    noise: float  # [m^2/s] variance that the velocity's noise adds in a second
+    noise: float  # [m^2/s] variance that the noise of the velocity adds in a second
 
     def gains(self, ways: Sequence[float], times: Sequence[float]) -> list[float]:
-        """Return the gain of each fix after the first one, which is taken on whole.
+        """Return the gain of each fix after the first one, whose gain is 1.
 
         Args:
-            ways: travelled since the fix before [m].
-            times: passed since then [s].
+            ways: distances [m] since the previous fix.
+            times: durations [s] since the previous fix.
         """
         R = P = self.fix**2
         C, found = 0.0, []

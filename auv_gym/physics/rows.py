@@ -1,4 +1,4 @@
-"""Nested NamedTuples of numbers to and from plain rows: the one place where a number's name meets its position.
+"""Converts nested NamedTuples of numbers to plain rows and back; it defines the position of each name in a row.
 
 class Point(NamedTuple):
 x: Number
@@ -27,9 +27,9 @@ T = TypeVar("T", bound=tuple[Any, ...])
 
 
 def numbered(cls: type[T]) -> T:
-    """Return a nested NamedTuple with the place of each number in the row of all of them.
+    """Return a nested NamedTuple with the index of each number in the row of all numbers.
 
-    Fields that have a default, which stand last, are no numbers: here and below they keep it.
+    Fields with a default are last. They are not part of the row, here and in the other functions, and keep the default.
     """
     places = count()
 
@@ -42,7 +42,7 @@ def numbered(cls: type[T]) -> T:
 
 
 def leaves(tree: Any) -> tuple[Any, ...]:
-    """Return the numbers of a nested NamedTuple in a row."""
+    """Return the numbers of a nested NamedTuple as a row."""
     found: tuple[Any, ...] = ()
     first = 0
     end = len(tree) - len(tree._field_defaults)
@@ -55,7 +55,7 @@ def leaves(tree: Any) -> tuple[Any, ...]:
 
 
 def filled(places: T, rows: Sequence[Any]) -> T:
-    """Return a nested NamedTuple, of numbers, arrays or tensors, for the row of them and what `numbered` gave."""
+    """Return the nested NamedTuple of a row of numbers, arrays or tensors; `places` is from `numbered`."""
     tree: Any = places
     own = tree[: len(tree) - len(tree._field_defaults)]
     made: T = type(tree)(*(filled(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
@@ -63,7 +63,7 @@ def filled(places: T, rows: Sequence[Any]) -> T:
 
 
 def spread(numbers: Sequence[Any], n: int) -> Array:
-    """Return numbers, each a float or a row of n > 1, as one array (len(numbers), n)."""
+    """Return floats, or rows of shape (n,), as one array of shape (len(numbers), n)."""
     if n == 1:  # they are floats
         return np.array(numbers, dtype=np.float64)[:, None]
     rows = np.empty((len(numbers), n))

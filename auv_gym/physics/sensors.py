@@ -15,12 +15,12 @@ from auv_gym.physics.navigation import FixFilter, RandomReckoning
 
 @dataclass(frozen=True)
 class Sensors:
-    """Errors of the six measurements x, y, psi, u, v, r, the velocities over ground.
+    """Errors of the six measurements x, y, psi, u, v, r; the velocities are over ground.
 
-    Noise is white from control step to control step. A bias is drawn once an episode for each measurement. While the
-    position fix fails, x and y keep their last measured values. With `reckoning` there is a fix now and then only: its
-    errors are those of x and y here, in between the position is reckoned from measured heading and velocities, and a
-    fix that fails is left out.
+    Noise is white: independent in each control step. A bias is drawn once an episode for each measurement. During an
+    outage of the position fix, x and y keep their last measured values. With `reckoning`, position fixes are rare:
+    they have the errors of x and y, dead reckoning from measured heading and velocities gives the position between
+    them, and fixes within an outage are omitted.
     """
 
     position: float = 0.0  # [m] standard deviation of the noise on x and on y
@@ -31,9 +31,9 @@ class Sensors:
     heading_bias: Interval = 0.0  # [rad]
     velocity_bias: Interval = 0.0  # [m/s]
     yaw_rate_bias: Interval = 0.0  # [rad/s]
-    outages: float = 0.0  # [1/min] how often the position fix fails, on average
-    outage_time: Interval = (2.0, 10.0)  # [s] for how long
-    reckoning: RandomReckoning | None = None  # between rare position fixes; None: a fix in each control step
+    outages: float = 0.0  # [1/min] mean rate of outages of the position fix
+    outage_time: Interval = (2.0, 10.0)  # [s] duration of an outage
+    reckoning: RandomReckoning | None = None  # dead reckoning between rare fixes; None: a fix in each control step
     low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
 
     def __post_init__(self) -> None:
@@ -59,7 +59,7 @@ class Sensors:
         return x, y, psi, u, v_, r
 
     def draw_outages(self, rng: np.random.Generator, duration: float) -> tuple[tuple[float, float], ...]:
-        """Return begin and end [s] of the outages in an episode, in their order; they may overlap."""
+        """Return begin and end [s] of the outages in an episode, ordered by their begin; they may overlap."""
         count = int(rng.poisson(self.outages * duration / 60))
         begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
         return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
@@ -70,12 +70,12 @@ class Sensors:
         return FixFilter(self.position, drift, mean_square(self.velocity_bias), self.velocity**2 * dt)
 
     def filter_gain(self, dt: float) -> float:
-        """Return the share of a new measurement that the low-pass takes on in one control step of dt [s]."""
+        """Return the weight of a new measurement in the low-pass filter, for a control period of dt [s]."""
         return 1.0 if self.low_pass is None else -math.expm1(-2 * math.pi * self.low_pass * dt)
 
 
 def low_pass(filtered: State, measured: State, gain: Number, ns: Namespace) -> State:
-    """Return the filtered tracking errors after one control step; the heading takes the short way round."""
+    """Return the filtered tracking errors after one control step; the heading error is wrapped."""
     x, y, psi, u, v, r = filtered
     x_m, y_m, psi_m, u_m, v_m, r_m = measured
     return (

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from auv_gym.physics.dynamics import Load
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.physics.vehicle import CrossFlow
 
 MAX_INTEGRATION_STEP = 0.5  # [s]
 MAX_STIFFNESS = 2.0
@@ -16,7 +17,7 @@ up below 2.1."""
 AT_REST: Load = (0.0, 0.0, 0.0)  # surge, sway [m/s] and yaw rate [rad/s] of a vehicle at rest
 
 
-def check_step(h: float, coefficients: Coefficients, load: Load, speeds: Load = AT_REST) -> None:
+def check_step(h: float, coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> None:
     """Raise ValueError if an integration step of h [s] is too long for a vehicle, see `fastest_rate`."""
     rate = float(np.max(fastest_rate(coefficients, load, speeds)))
     longest = min(MAX_INTEGRATION_STEP, MAX_STIFFNESS / rate)
@@ -27,26 +28,28 @@ def check_step(h: float, coefficients: Coefficients, load: Load, speeds: Load = 
         )
 
 
-def fastest_rate(coefficients: Coefficients, load: Load, speeds: Load = AT_REST) -> Any:
+def fastest_rate(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> Any:
     """Return the fastest rate [1/s] at which velocities change by themselves, at speeds that a load can bring about.
 
     It is that of the drag, or that of the coupling of the three velocities. No speeds beyond those at which drag takes
     away all power that the load can give are in reach for long: |u| <= X / (2 d11) + sqrt(P / d11) by the linear drag,
     |u| <= sqrt(X / X_uu) + (P / X_uu)^(1/3) by the quadratic one, and so on. P is what the three loads can give: each
-    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift is taken to give no power.
+    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift and surge loss are taken to give no power; Y_vv and
+    N_rr count less by what cross-flow may give.
 
     Args:
-        coefficients: floats, or rows of shape (n,).
+        coefficients: a vehicle's `Coefficients`, with its `CrossFlow` behind them or without, floats or rows (n,).
         load: largest magnitudes.
         speeds: u, v, r at the start.
     """
     m11, m22, m33, *drags = (np.asarray(c, dtype=np.float64) for c in coefficients)
-    linear, quadratic, (Y_uv, Y_ur, N_uv, N_ur) = drags[:3], drags[3:6], drags[6:]
-    acting = list(zip(load, linear, quadratic, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # little or no quadratic drag: no bound by it
-        power = sum(np.fmin(F * F / (4 * d), 2 / 3 * F * np.sqrt(F / (3 * q))) for F, d, q in acting)
-        reach = [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
-    u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(reach, speeds, strict=True))
+    linear, quadratic, (Y_uv, Y_ur, N_uv, N_ur) = drags[:3], drags[3:6], drags[6:10]
+    cross = CrossFlow(*drags[10:]) if len(drags) > 10 else None
+    sure = quadratic if cross is None else _sure(quadratic, cross)
+    u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(_reach(load, linear, sure), speeds, strict=True))
+    if cross is not None:  # astern, what turns take from the surge force is a load
+        surge = load[0] + abs(cross.X_vv) * v * v + abs(cross.X_vr) * v * r + abs(cross.X_rr) * r * r
+        u, v, r = (np.maximum(a, b) for a, b in zip(_reach((surge, *load[1:]), linear, sure), (u, v, r), strict=True))
     moving = zip(linear, quadratic, (u, v, r), (m11, m22, m33), (0, Y_uv, N_ur), strict=True)
     decay = [(d + 2 * q * speed + lift * u) / m for d, q, speed, m, lift in moving]
     zero, sway, munk = 0 * u, m11 + abs(Y_ur), m22 - m11 + abs(N_uv)
@@ -56,4 +59,44 @@ def fastest_rate(coefficients: Coefficients, load: Load, speeds: Load = AT_REST)
         ((munk * v + N_ur * r) / m33, munk * u / m33, zero),
     )
     coupling = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    if cross is not None:
+        decay, coupling = _crossed(decay, coupling, cross, (v, r), (m11, m22, m33))
     return np.maximum(np.max(decay, axis=0), np.abs(np.linalg.eigvals(coupling)).max(axis=-1))
+
+
+def _reach(load: Load, linear: Sequence[Any], quadratic: Sequence[Any]) -> list[Any]:
+    """Return |u|, |v|, |r| at which drag takes away all power that the load can give."""
+    acting = list(zip(load, linear, quadratic, strict=True))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # no quadratic drag: no bound by it
+        power = sum(np.fmin(F * F / (4 * d), 2 / 3 * F * np.sqrt(F / (3 * q))) for F, d, q in acting)
+        return [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
+
+
+def _sure(quadratic: Sequence[Any], cross: CrossFlow) -> tuple[Any, Any, Any]:
+    """Return X_uu, and lower bounds of Y_vv and N_rr for any sign of the cross-flow terms.
+
+    By |v|^2 |r| <= (2 |v|^3 + |r|^3) / 3, for v and r in units in which Y_vv and N_rr are equal.
+    """
+    X_uu, Y_vv, N_rr = quadratic
+    one, other = cross.slopes(Y_vv, N_rr)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.cbrt(N_rr / Y_vv)
+        first, second = (np.fmin(one[k], other[k]) / (Y_vv * size**k) for k in (1, 2))
+        first, second = (np.where(np.isnan(x), -np.inf, np.minimum(x, 0.0)) for x in (first, second))
+    return X_uu, Y_vv * np.fmax(1 + (2 * first + second) / 3, 0.0), N_rr * np.fmax(1 + (first + 2 * second) / 3, 0.0)
+
+
+def _crossed(
+    decay: list[Any], coupling: Any, cross: CrossFlow, speeds: tuple[Any, Any], masses: Sequence[Any]
+) -> tuple[list[Any], Any]:
+    """Return the rates of decay and of coupling with what cross-flow and surge loss add at most at v and r."""
+    X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr = (abs(c) for c in cross)
+    (v, r), (m11, m22, m33) = speeds, masses
+    more = 0 * v, ((Y_rv + Y_vr) * r) / m22, ((N_rv + N_vr) * v) / m33
+    zero = 0 * v
+    rows = (
+        (zero, (2 * X_vv * v + X_vr * r) / m11, (X_vr * v + 2 * X_rr * r) / m11),
+        (zero, zero, ((Y_rv + Y_vr) * v + 2 * Y_rr * r) / m22),
+        (zero, (2 * N_vv * v + (N_rv + N_vr) * r) / m33, zero),
+    )
+    return [a + b for a, b in zip(decay, more, strict=True)], coupling + np.moveaxis(np.array(rows), (0, 1), (-2, -1))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
 
 POWERS: Mapping[str, tuple[float, float, float]] = {
     "1": (0, 0, 0),
@@ -33,8 +33,11 @@ POWERS: Mapping[str, tuple[float, float, float]] = {
 """Powers of length, time and mass in SI units."""
 DIMENSIONS: Mapping[str, str] = dict(
     zip(
-        Coefficients._fields,
-        ("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s", "kg/m", "kg/m", "kg m^2", "kg/m", "kg", "kg", "kg m"),
+        (*Coefficients._fields, *CrossFlow._fields),
+        (
+            *("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s", "kg/m", "kg/m", "kg m^2", "kg/m", "kg", "kg", "kg m"),
+            *("kg/m", "kg", "kg m", "kg", "kg", "kg m", "kg", "kg m", "kg m"),
+        ),
         strict=True,
     )
 )

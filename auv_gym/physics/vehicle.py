@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from auv_gym.physics.intervals import check_number, is_float
 from auv_gym.physics.namespaces import Number
 
@@ -29,7 +31,7 @@ class Coefficients(NamedTuple):
 
     @property
     def without_lift(self) -> tuple[Number, ...]:
-        """What is left for a hull whose lift is zero: `dynamics.rates` then does not compute it."""
+        """The coefficients without lift; with them `dynamics.rates` does not compute it."""
         return self[: len(self) - len(_LIFT)]
 
     @property
@@ -38,8 +40,35 @@ class Coefficients(NamedTuple):
         return self.m22 - (self.m11 - self.Y_ur)
 
 
+class CrossFlow(NamedTuple):
+    """The cross terms of quadratic damping, and the surge force that turns take: floats, or rows of shape (N,)."""
+
+    X_vv: Number  # [kg/m]
+    X_vr: Number  # [kg]
+    X_rr: Number  # [kg m]
+    Y_rv: Number  # [kg]
+    Y_vr: Number  # [kg]
+    Y_rr: Number  # [kg m]
+    N_vv: Number  # [kg]
+    N_rv: Number  # [kg m]
+    N_vr: Number  # [kg m]
+
+    def slopes(self, Y_vv: Number, N_rr: Number) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+        """Return what quadratic damping takes of the power, over |v|^3, as polynomials of |r/v|.
+
+        Constant terms come first. The first one holds where v and r have one sign, the second one where they differ.
+        """
+        odd_v, odd_r = self.Y_vr + self.N_vv, self.Y_rr + self.N_rv
+        return (
+            (Y_vv, self.Y_rv + odd_v, self.N_vr + odd_r, N_rr),
+            (Y_vv, self.Y_rv - odd_v, self.N_vr - odd_r, N_rr),
+        )
+
+
 _LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
+SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossFlow._fields)
+"""Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
 LARGEST_PARAMETER = 1e11
@@ -53,15 +82,22 @@ class Vehicle:
     """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag; a design speed.
 
     Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes. Lift of
-    hull and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
+    body and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
     fin behind the centre has all four positive. Beyond the Munk moment (m11 - m22) u v, which (2c) has by itself.
+
+    Cross-flow takes `Y_rv |r| v + Y_vr |v| r + Y_rr |r| r` from the sway force and
+    `N_vv |v| v + N_rv |r| v + N_vr |v| r` from the yaw moment, beside Y_vv and N_rr; turns take
+    `X_vv v^2 + X_vr v r + X_rr r^2` from the surge force. They are the hydrodynamic derivatives of T. I. Fossen,
+    Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, chapter 6, with the other sign: Y_rv is
+    his -Y_|r|v. Each may have either sign.
     The design speed acts on nothing: with mass and length it is the measure that scenarios and gains are scaled by, see
     `auv_gym.physics.units`.
 
     Raises:
-        ValueError: a parameter is not finite or too large, one but Y_ur or N_uv is negative, a mass or linear drag is
-            zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it describes need
-            a slender body, or the design speed is outside of `_SPEEDS`.
+        ValueError: a parameter is not finite or too large, one but `SIGNED_PARAMETERS` is negative, a mass or linear
+            drag is zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it
+            describes need a slender body, quadratic damping would give power, or the design speed is outside of
+            `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -78,16 +114,25 @@ class Vehicle:
     N_uv: float = 0.0  # [kg] lift: yaw moment of a sway velocity, positive where it turns the bow into the flow
     N_ur: float = 0.0  # [kg m] lift: yaw drag that grows with the surge velocity
     speed: float = 1.5  # [m/s] the fastest that it is to cruise at
+    X_vv: float = 0.0  # [kg/m] surge drag of a sway velocity
+    X_vr: float = 0.0  # [kg] surge drag of a sway velocity in a turn
+    X_rr: float = 0.0  # [kg m] surge drag of a yaw rate
+    Y_rv: float = 0.0  # [kg] cross-flow: sway drag that grows with the yaw rate
+    Y_vr: float = 0.0  # [kg] cross-flow: sway force of a yaw rate that grows with the sway velocity
+    Y_rr: float = 0.0  # [kg m] cross-flow: sway force of a yaw rate
+    N_vv: float = 0.0  # [kg] cross-flow: yaw moment of a sway velocity
+    N_rv: float = 0.0  # [kg m] cross-flow: yaw moment of a sway velocity that grows with the yaw rate
+    N_vr: float = 0.0  # [kg m] cross-flow: yaw drag that grows with the sway velocity
 
     def __post_init__(self) -> None:
-        for name, value in zip(Coefficients._fields, self.coefficients, strict=True):
+        for name, value in (*self.coefficients._asdict().items(), *self.cross_flow._asdict().items()):
             if not is_float(value) or not abs(value) <= LARGEST_PARAMETER:
                 raise ValueError(
                     f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST_PARAMETER:g}"
                 )
             if name[0] in "md" and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
-            if value < 0 and name not in ("Y_ur", "N_uv"):
+            if value < 0 and name not in SIGNED_PARAMETERS:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
         if self.m22 < (1 - 1e-12) * MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):  # in any units
             raise ValueError(
@@ -96,12 +141,29 @@ class Vehicle:
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
+        if any(self.cross_flow):
+            self._check_damping()
+
+    def _check_damping(self) -> None:
+        """Raise ValueError if quadratic damping gives power at some sway velocity and yaw rate."""
+        size = self.length
+        for slope in self.cross_flow.slopes(self.Y_vv, self.N_rr):
+            power = np.array([c / size**k for k, c in enumerate(slope)])  # a polynomial of |r/v| times the length
+            turning = np.roots((power * range(4))[:0:-1]).real  # where it may be least
+            ratios = np.array([1e6, *turning[turning > 0]])
+            if (np.polyval(power[::-1], ratios) < -1e-9 * np.polyval(abs(power[::-1]), ratios)).any():
+                raise ValueError(
+                    "the quadratic damping of sway and yaw gives power: v times the sway force and r times the yaw "
+                    "moment that Y_vv, N_rr and cross-flow take must not add up to less than 0 at any v and r"
+                )
 
     @classmethod
-    def unchecked(cls, coefficients: Coefficients) -> Vehicle:
+    def unchecked(cls, coefficients: Coefficients, cross_flow: CrossFlow | None = None) -> Vehicle:
         """Return a vehicle of parameters that are known to be valid, or of rows of those of N vehicles."""
         vehicle = object.__new__(cls)
         vehicle.__dict__.update(zip(Coefficients._fields, coefficients, strict=True), speed=cls.speed)
+        if cross_flow is not None:
+            vehicle.__dict__.update(cross_flow._asdict())
         return vehicle
 
     @property
@@ -118,6 +180,21 @@ class Vehicle:
     def has_lift(self) -> bool:
         """Whether lift acts on it."""
         return any(getattr(self, name) for name in _LIFT)
+
+    @property
+    def cross_flow(self) -> CrossFlow:
+        """The cross terms of quadratic damping and the surge loss in turns."""
+        return CrossFlow(*(getattr(self, name) for name in CrossFlow._fields))
+
+    @property
+    def acting(self) -> tuple[Number, ...]:
+        """The shortest row of coefficients that `dynamics.rates` takes for it."""
+        return self.all_coefficients if self.has_lift or any(self.cross_flow) else self.coefficients.without_lift
+
+    @property
+    def all_coefficients(self) -> tuple[Number, ...]:
+        """The coefficients, and cross-flow behind them if there is any."""
+        return (*self.coefficients, *self.cross_flow) if any(self.cross_flow) else self.coefficients
 
     @property
     def coefficients(self) -> Coefficients:

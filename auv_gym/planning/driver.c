@@ -1,6 +1,6 @@
-/* The plan of one path as `Planner._in_python` makes it: the same kernels in the same order, and no equation of its own.
- * A path that cannot be followed is left to Python, which says why. Kernels take the number of samples, then of each
- * array the address and the strides of all axes but the last. */
+/* The plan of one path, computed as in `Planner._in_python`, by the same kernels in the same order. This file holds no
+ * equations. A path that cannot be followed is left to Python, which raises the error. The first argument of a kernel
+ * holds the number of samples, then the address and the strides of each array, except the stride of its last axis. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -18,15 +18,15 @@ static int any(const double *x, long n)
     return sum != 0;
 }
 
-/* How many samples of its velocity a step h of a curve takes, whose position is an integral. */
-static long pieces(double h, double longest)
+/* Number of integration steps of at most `longest` in a step h of a path whose position is an integral. */
+static long divisions(double h, double longest)
 {
     const double m = ceil((1 - 1e-9) * h / longest);
     return m < 1 ? 1 : (long)fmin(m, 1e6);
 }
 
-/* Derivatives (8, n) of such a curve; the position is 0 at the sample `origin`. `memory` holds 12 ((n - 1) m + 1). */
-static void by_quadrature(double *d, const double *t, long n, long origin, long m, const double *p, double *memory)
+/* Derivatives (8, n) of such a path; the position is 0 at the sample `origin`. `memory` holds 12 ((n - 1) m + 1). */
+static void integrated(double *d, const double *t, long n, long origin, long m, const double *p, double *memory)
 {
     const long N = (n - 1) * m + 1;
     double *grid = memory, *course = grid + N, *way = course + 3 * N, *rates = m > 1 ? way + 2 * N : d + 2 * n;
@@ -35,13 +35,13 @@ static void by_quadrature(double *d, const double *t, long n, long origin, long 
     grid[N - 1] = t[n - 1];
     memset(course, 0, 3 * N * sizeof(double));
     const int64_t turn[] = {N, AT(course), N, AT(grid), N, AT(p + 4), 3};
-    turned(turn, 0, 3);
+    add_sine(turn, 0, 3);
     const int64_t move[] = {N, AT(course), N, AT(grid), N, AT(p), AT(rates), N};
     velocity(move, 0, 1);
     const int64_t go[] = {N - 1, AT(grid), N, AT(grid + 1), N, AT(rates), N, AT(rates + 1), N, AT(way), N};
-    travelled(go, 0, 1);
+    displacement(go, 0, 1);
     for (int axis = 0; axis < 2; axis++) {
-        double total = 0, *position = course + axis * N; /* the course has served */
+        double total = 0, *position = course + axis * N; /* reuses the memory of the course */
         for (long i = 0; i < N; i++) {
             position[i] = total;
             if (i < N - 1) total += way[axis * N + i];
@@ -52,7 +52,7 @@ static void by_quadrature(double *d, const double *t, long n, long origin, long 
         for (long i = 0; i < n; i++) d[(2 + r) * n + i] = rates[r * N + i * m];
 }
 
-/* The sine of the sideslip at n samples, from the `terms` of its equation (4, n), see `sideslip`. */
+/* The sine of the sideslip at n samples, for the `terms` of its equation (4, n), see sideslip.py. */
 static void sideslip(double *w, const double *along, const double *terms, long n, const double *c, const double *weights)
 {
     double inputs[16], start[4], past[4];
@@ -63,44 +63,45 @@ static void sideslip(double *w, const double *along, const double *terms, long n
         for (int r = 0; r < 4; r++) inputs[4 * j + r] = terms[r * n + j];
     }
     const int64_t open[] = {1, AT(start), 1, AT(inputs), 1, AT(weights), 1, AT(past), 1};
-    opening(open, 0, FIXED_POINT);
+    first_samples(open, 0, FIXED_POINT);
     memcpy(w, start, sizeof start);
     double history[] = {w[3], past[2], past[1], past[0]};
     const int64_t step[] = {1, AT(history), 1, AT(weights + 15), 1, AT(terms), 1, n, AT(w + 1), 1, 1};
     recursion(step, 3, (int)(n - 4));
 }
 
-/* Write a reference and return 0; else how many times finer it must be sampled, or `refused`.
+/* Write a reference and return 0. Otherwise return the factor by which it must be sampled more finely, or `refused`.
  *
- * family: its place in `families`, their number for `RandomSmooth`, -1 for derivatives that are given (8, n)
- * pose: that of the path, and behind it its numbers, see `Family`
- * c: coefficients of the vehicle, and behind them first and last time, step h, samples before the first time, instants
- *    T, samples from one to the next, h times the response that is allowed, h/Dm, the `LIMITS`, and the weights of the
- *    sideslip's formulas
+ * family: index in `families`; their number for `RandomSmooth`; -1 if the derivatives are given
+ * pose: pose of the path, then its numbers, see `Family`
+ * given: derivatives (8, n), or NULL
+ * c: coefficients of the vehicle, then first and last time, step h, samples before the first time, instants T, samples
+ *    from one instant to the next, h/MAX_RESPONSE (0 for a refined plan), h/Dm, the `LIMITS`, and the weights of the
+ *    integration formulas of the sideslip
  * table: x, y, psi, u, v, r, F_u, F_r (T, 8)
- * rest: gamma, v_p, omega (3, T), if they are wanted
+ * rest: gamma, v_p, omega (3, T), or NULL
  */
 int plan(int family, const double *pose, const double *given, const double *c, double *table, double *rest)
 {
     const double *p = pose + 3, *s = c + VEHICLE, h = s[2];
     const long lead = (long)s[3], T = (long)s[4], substeps = (long)s[5], n = lead + (T - 1) * substeps + 1;
-    const long m = family == FAMILY_COUNT ? pieces(h, p[13]) : 0;
-    if (m > 1000) return refused; /* Python has memory for it, or says that there is none */
+    const long m = family == FAMILY_COUNT ? divisions(h, p[13]) : 0;
+    if (m > 1000) return refused; /* left to Python, which raises an error if the memory is too small */
     double *memory = malloc((25 * n + 12 * ((n - 1) * m + 1)) * sizeof(double));
     if (!memory) return refused;
     double *t = memory, *d = t + n, *position = d + 8 * n, *along = position + 2 * n, *terms = along + 6 * n;
-    double *w = terms + 4 * n, *turns = w + n, *response = turns + n, *bad = response + n;
+    double *w = terms + 4 * n, *full_turns = w + n, *response = full_turns + n, *bad = response + n;
     int result = refused;
 
     for (long i = 0; i < n; i++) t[i] = s[0] + h * (i - lead);
-    t[n - 1] = s[1]; /* not an ulp past the path's end */
+    t[n - 1] = s[1]; /* exactly, since rounding could exceed the end of the path */
     const int64_t curve[] = {n, AT(t), n, AT(p), AT(d), n};
-    if (family == FAMILY_COUNT) by_quadrature(d, t, n, lead, m, p, bad + n);
+    if (family == FAMILY_COUNT) integrated(d, t, n, lead, m, p, bad + n);
     else if (family >= 0) families[family](curve, 0, 1);
 
     const int64_t look[] = {n, AT(family < 0 ? given : d), n, AT(pose), AT(s + 7), AT(c),
                             AT(position), n, AT(along), n, AT(terms), n, AT(response), n, AT(bad), n};
-    look_along(look, 0, 1);
+    along_path(look, 0, 1);
     if (any(bad, n)) goto done;
     double most = 0;
     for (long i = 0; i < n; i++) most = response[i] > most ? response[i] : most;
@@ -109,23 +110,23 @@ int plan(int family, const double *pose, const double *given, const double *c, d
         goto done;
     }
     double *beta = along + n;
-    const int64_t bend[] = {n - 1, AT(beta), n, AT(beta + 1), n, AT(turns + 1), n, AT(bad), n};
-    bends(bend, 0, 1);
+    const int64_t bend[] = {n - 1, AT(beta), n, AT(beta + 1), n, AT(full_turns + 1), n, AT(bad), n};
+    turns(bend, 0, 1);
     if (any(bad, n - 1)) goto done;
 
     sideslip(w, along, terms, n, c, s + 8 + LIMITS);
     const int64_t slip[] = {n - lead, AT(w + lead), n, AT(bad), n};
-    slips(slip, 0, 1);
+    check_sideslip(slip, 0, 1);
     if (any(bad, n - lead)) goto done;
 
-    double *moved = d; /* the derivatives have served, and so have the terms */
+    double *moved = d; /* reuses the memory of the derivatives, and `rest` that of the terms */
     if (!rest) rest = terms;
     double total = 0;
-    for (long i = lead + 1; i < n; i++) { /* the direction goes on without jumps by full turns */
-        total += turns[i];
+    for (long i = lead + 1; i < n; i++) { /* make the direction continuous */
+        total += full_turns[i];
         beta[i] -= 6.283185307179586 * total;
     }
-    for (long r = 0; r < 8; r++) { /* at the instants alone; position and along lie one behind the other */
+    for (long r = 0; r < 8; r++) { /* keep the instants only; `along` follows `position` in memory */
         double *row = position + r * n;
         for (long i = 0; i < T; i++) row[i] = row[lead + i * substeps];
     }

@@ -1,4 +1,4 @@
-"""What an underactuated vehicle cannot follow, and where."""
+"""Feasibility conditions of a reference for an underactuated vehicle."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number, wrap_an
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.sideslip import MAX_SIDESLIP
 
-MIN_SPEED = 1e-3  # [m/s] below this a path counts as standing still
+MIN_SPEED = 1e-3  # [m/s] smallest speed of a path
 
 
 class InfeasibleReferenceError(ValueError):
-    """An underactuated vehicle of these parameters cannot follow the path on time.
+    """The vehicle cannot follow the reference.
 
     Attributes:
-        condition: what is violated, in words and numbers.
-        time: when it is first violated [s].
-        place: where, (x, y) [m].
+        condition: the violated condition, in words and numbers.
+        time: the first time at which it is violated [s].
+        place: the position at that time, (x, y) [m].
     """
 
     def __init__(self, condition: str, time: float, place: tuple[float, float]) -> None:
@@ -31,62 +31,62 @@ class InfeasibleReferenceError(ValueError):
         self.condition, self.time, self.place = condition, time, place
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.condition, self.time, self.place)  # as pickle needs it: on to another process
+        return type(self), (self.condition, self.time, self.place)  # for pickle
 
 
 def check_feasible(valid: NDArray[np.bool_], condition: Callable[[int], str], times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,), does not hold."""
+    """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,), is False."""
     if not valid.all():
         k = int(np.argmin(valid))
         x, y = (float(row[k]) for row in positions)
         raise InfeasibleReferenceError(condition(k), float(times[k]), (x, y))
 
 
-def moves(v_p: Number) -> Number:
-    """Return whether a path moves, for its speed [m/s]."""
+def moving(v_p: Number) -> Number:
+    """Return whether a speed [m/s] is at least `MIN_SPEED`."""
     return v_p >= MIN_SPEED
 
 
-def bends(turn: Number, ns: Namespace) -> Number:
-    """Return whether a path bends from one sample to the next, for its turn [rad] there, and does not go back."""
+def gradual(turn: Number, ns: Namespace) -> Number:
+    """Return whether the change of direction [rad] between two samples is below 90 degrees."""
     return abs(wrap_angle(turn, ns)) < 0.5 * math.pi
 
 
-def brakes(v_p: Number, v_p_dot: Number, c: Vehicle | Coefficients) -> tuple[Number, Number]:
-    """Return how a path brakes [1/s], and what that must be below: then the sideslip does not grow by itself."""
+def braking(v_p: Number, v_p_dot: Number, c: Vehicle | Coefficients) -> tuple[Number, Number]:
+    """Return the relative deceleration [1/s] of a path and its limit, below which the sideslip equation is stable."""
     return -v_p_dot / v_p, (c.d22 + c.Y_uv * v_p) / c.m22
 
 
-def holds(w: Number) -> Number:
-    """Return whether a sideslip, whose sine is given, is below `MAX_SIDESLIP`."""
+def sideslip_allowed(w: Number) -> Number:
+    """Return whether a sideslip is below `MAX_SIDESLIP`, for its sine."""
     return abs(w) < math.sin(MAX_SIDESLIP)
 
 
 def torque_limit(u: Number, limits: Sequence[Number], ns: Namespace) -> Number:
-    """Return the largest torque [N m] at a surge speed [m/s] for the limits F_u_max [N], F_r_max [N m] and fin [kg]."""
+    """Return the largest torque [N m] at a surge speed [m/s], for the limits F_u_max [N], F_r_max [N m], fin [kg]."""
     _, F_r_max, fin = limits
     return F_r_max * fin_share(u, fin, F_r_max, ns)
 
 
 def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError where a path stands still, turns on the spot, or brakes faster than drag can."""
-    moving = moves(v_p)
-    moving[1:] &= bends(np.diff(beta), ARRAYS)
-    check_feasible(moving, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
-    braking, limit = brakes(v_p, v_p_dot, vehicle)
+    """Raise InfeasibleReferenceError where the speed passes through zero or the deceleration exceeds its limit."""
+    valid = moving(v_p)
+    valid[1:] &= gradual(np.diff(beta), ARRAYS)
+    check_feasible(valid, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
+    rate, limit = braking(v_p, v_p_dot, vehicle)
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
 
-    def says(k: int) -> str:
-        return f"braking -v_p'/v_p = {braking[k]:.4g} 1/s is not below {drag} = {limit[k]:.4g} 1/s"
+    def condition(k: int) -> str:
+        return f"braking -v_p'/v_p = {rate[k]:.4g} 1/s is not below {drag} = {limit[k]:.4g} 1/s"
 
-    check_feasible(braking < limit, says, times, positions)
+    check_feasible(rate < limit, condition, times, positions)
 
 
 def check_sideslip(w: Array, times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError where a sideslip, whose sine is given, exceeds `MAX_SIDESLIP`."""
+    """Raise InfeasibleReferenceError where the sideslip exceeds `MAX_SIDESLIP`, for its sine."""
     limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
-    says = f"the sideslip exceeds {limit}, the path turns too fast for the sway drag"
-    check_feasible(holds(w), lambda _: says, times, positions)
+    condition = f"the sideslip exceeds {limit}, the path turns too fast for the sway drag"
+    check_feasible(sideslip_allowed(w), lambda _: condition, times, positions)
 
 
 def check_forces(F_u: Array, F_r: Array, u: Array, limits: Sequence[float], times: Array, positions: Array) -> None:
@@ -94,7 +94,7 @@ def check_forces(F_u: Array, F_r: Array, u: Array, limits: Sequence[float], time
     torque = np.broadcast_to(torque_limit(u, limits, ARRAYS), u.shape)
     for name, unit, force, most in (("F_u", "N", F_u, np.full_like(u, limits[0])), ("F_r", "N m", F_r, torque)):
 
-        def says(k: int, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
+        def condition(k: int, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
             return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
 
-        check_feasible(np.abs(force) <= most, says, times, positions)
+        check_feasible(np.abs(force) <= most, condition, times, positions)

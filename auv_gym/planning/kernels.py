@@ -1,4 +1,4 @@
-"""The equations of a plan as kernels, whose lanes are the samples of one path, and the C that calls them in turn."""
+"""The equations of a plan as kernels, whose columns are the samples of a path, and the C code that calls them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import Any
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, together
 from auv_gym.physics.vehicle import Coefficients
-from auv_gym.planning.feasibility import bends, brakes, holds, moves, torque_limit
+from auv_gym.planning.feasibility import braking, gradual, moving, sideslip_allowed, torque_limit
 from auv_gym.planning.paths import PATHS
 from auv_gym.planning.paths.base import POSE, Family, placed
-from auv_gym.planning.paths.turning import RandomSmooth, travelled, turned
+from auv_gym.planning.paths.turning import RandomSmooth, displacement, with_sine
 from auv_gym.planning.sideslip import (
     ORDER,
     RATES,
@@ -24,43 +24,43 @@ from auv_gym.planning.sideslip import (
     PathRates,
     in_sideslip,
     path_rates,
-    plus,
     response,
     sideslip_rest,
     sideslip_terms,
     steady_sideslip,
+    weighted_sum,
 )
 
 FAMILIES: list[type] = [f for f in PATHS.values() if issubclass(f, Family) and f is not RandomSmooth]
-"""Those whose position has a formula, in the order in which the driver has them; `RandomSmooth` comes behind them."""
-FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
-VEHICLE = len(Coefficients._fields)  # how many numbers a vehicle has
-LIMITS = 8  # F_u_max, F_r_max, fin, and the largest |u|, |v|, |r|, |F_u|, |F_r| that may be planned
+"""Families whose position has a formula, in the order of the driver's table; `RandomSmooth` follows them."""
+FIXED_POINT = 12  # fixed-point iterations for the first samples; fewer are enough to converge
+VEHICLE = len(Coefficients._fields)  # number of coefficients of a vehicle
+LIMITS = 8  # number of limits: F_u_max, F_r_max, fin, largest |u|, |v|, |r|, |F_u|, |F_r| of a plan
 
 
 @cache
 def kernels() -> Mapping[str, Kernel]:
-    """Return the kernels by the names that the driver calls them by."""
-    alone = {
-        "turned": _turned(),
+    """Return the kernels by the names of their functions in the driver."""
+    return {
+        **{family.__name__: _curve(family) for family in FAMILIES},
+        "add_sine": _add_sine(),
         "velocity": _velocity(),
-        "travelled": _travelled(),
-        "look_along": _look_along(),
-        "bends": _bends(),
+        "displacement": _displacement(),
+        "along_path": _along_path(),
+        "turns": _turns(),
         "steady": _steady(),
-        "opening": _opening(),
+        "first_samples": _first_samples(),
         "recursion": _recursion(),
-        "slips": _slips(),
+        "check_sideslip": _check_sideslip(),
         "motion": _motion(),
     }
-    return {**{family.__name__: _curve(family) for family in FAMILIES}, **alone}
 
 
 @cache
 def driver(many: bool = True) -> Callable[..., int] | None:
-    """Return the compiled `plan` of driver.c; None where there is no compiler.
+    """Return the compiled `plan` of driver.c; None without a compiler.
 
-    That for `many` plans takes half the time of the other, and a compiler twice the time.
+    With `many` it takes half the time, and its compilation twice the time.
     """
     names = ", ".join(family.__name__ for family in FAMILIES)
     sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE, "LIMITS": LIMITS}
@@ -77,7 +77,7 @@ def driver(many: bool = True) -> Callable[..., int] | None:
 
 
 def _of(family: type, numbers: Mapping[str, Any]) -> Any:
-    """Return a path of symbols, without its pose."""
+    """Return a path of a family with these fields, which may be symbols, without a check."""
     path: Any = object.__new__(family)
     for name, number in numbers.items():
         object.__setattr__(path, name, number)
@@ -85,7 +85,7 @@ def _of(family: type, numbers: Mapping[str, Any]) -> Any:
 
 
 def _curve(family: type) -> Kernel:
-    """Return `Family.formulas`."""
+    """Return the kernel of `Family.formulas`."""
     names = [field.name for field in fields(family)][: -len(POSE)]
 
     def equation(t: Any, p: Any) -> dict[str, Any]:
@@ -95,17 +95,17 @@ def _curve(family: type) -> Kernel:
     return Kernel.traced(equation, {"t": 1, "p": len(names)}, shared=["p"])
 
 
-def _turned() -> Kernel:
-    """Return the course of a `RandomSmooth` with one more sine at each step."""
+def _add_sine() -> Kernel:
+    """Return the kernel of the course of a `RandomSmooth`; each step adds a sine of its turn rate."""
 
     def equation(course: Any, t: Any, sine: Any) -> dict[str, Any]:
-        return {"course": turned(course, sine, t[0], SYMBOLS)}
+        return {"course": with_sine(course, sine, t[0], SYMBOLS)}
 
     return Kernel.traced(equation, {"course": 3, "t": 1, "sine": 3}, ["sine"], shared=["sine"])
 
 
 def _velocity() -> Kernel:
-    """Return velocity, acceleration and jerk of a `RandomSmooth` for its course."""
+    """Return the kernel of velocity, acceleration and jerk of a `RandomSmooth`, for its course."""
     names = ("speed", "speed_variation", "speed_frequency", "speed_phase")
 
     def equation(course: Any, t: Any, p: Any) -> dict[str, Any]:
@@ -115,47 +115,47 @@ def _velocity() -> Kernel:
     return Kernel.traced(equation, {"course": 3, "t": 1, "p": len(names)}, shared=["p"])
 
 
-def _travelled() -> Kernel:
-    """Return the way between two samples."""
+def _displacement() -> Kernel:
+    """Return the kernel of the displacement between two samples."""
 
     def equation(t: Any, next_t: Any, rates: Any, next_rates: Any) -> dict[str, Any]:
-        return {"way": travelled(next_t[0] - t[0], _pairs(rates), _pairs(next_rates))}
+        return {"displacement": displacement(next_t[0] - t[0], _pairs(rates), _pairs(next_rates))}
 
     return Kernel.traced(equation, {"t": 1, "next_t": 1, "rates": 6, "next_rates": 6})
 
 
-def _look_along() -> Kernel:
-    """Return what there is along a path: its rates, the terms of its sideslip, and what it asks of the integration."""
+def _along_path() -> Kernel:
+    """Return the kernel of position, `PathRates`, sideslip terms and `response` of a path, and a check of its rates."""
 
     def equation(derivatives: Any, pose: Any, scale: Any, coefficients: Any) -> dict[str, Any]:
         c = Coefficients(*coefficients)
         pairs = placed(_pairs(derivatives), pose, SYMBOLS)
         along = path_rates(pairs, SYMBOLS)
-        braking, limit = brakes(along.v_p, along.v_p_dot, c)
+        rate, limit = braking(along.v_p, along.v_p_dot, c)
         return {
             "position": pairs[0],
             "along": [getattr(along, name) for name in RATES],
             "terms": [scale[0] * term for term in sideslip_terms(along, c)],
             "response": [response(along, c, SYMBOLS)],
-            "refused": [~(moves(along.v_p) & (braking < limit))],
+            "refused": [~(moving(along.v_p) & (rate < limit))],
         }
 
     rows = {"derivatives": 8, "pose": 3, "scale": 1, "coefficients": VEHICLE}
     return Kernel.traced(equation, rows, shared=["pose", "scale", "coefficients"])
 
 
-def _bends() -> Kernel:
-    """Return how many full turns a direction jumps from one sample to the next, and whether the path turns too far."""
+def _turns() -> Kernel:
+    """Return the kernel of the full turns between two directions, and a check of the change of direction."""
 
     def equation(beta: Any, next_beta: Any) -> dict[str, Any]:
         change = next_beta[0] - beta[0]
-        return {"turns": [SYMBOLS.floor(change / (2 * math.pi) + 0.5)], "refused": [~bends(change, SYMBOLS)]}
+        return {"turns": [SYMBOLS.floor(change / (2 * math.pi) + 0.5)], "refused": [~gradual(change, SYMBOLS)]}
 
     return Kernel.traced(equation, {"beta": 1, "next_beta": 1})
 
 
 def _steady() -> Kernel:
-    """Return `steady_sideslip`."""
+    """Return the kernel of `steady_sideslip`."""
 
     def equation(along: Any, coefficients: Any) -> dict[str, Any]:
         return {"w": [steady_sideslip(PathRates(*along), Coefficients(*coefficients), SYMBOLS)]}
@@ -163,42 +163,45 @@ def _steady() -> Kernel:
     return Kernel.traced(equation, {"along": len(RATES), "coefficients": VEHICLE}, shared=["coefficients"])
 
 
-def _opening() -> Kernel:
-    """Return one iteration for the first `ORDER` samples jointly: a fixed point of the integral over their interpolant.
+def _first_samples() -> Kernel:
+    """Return the kernel of one fixed-point iteration of the implicit formula for the first `ORDER` samples.
 
-    `inputs` are the terms of each sample; `weights` the decays to all but the first, then the weights of each.
+    `inputs` are the terms of each sample. For `weights` see `formula_weights`.
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
         terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
         F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
-        after = [plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
+        after = [weighted_sum(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
 
     return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
 
 
 def _recursion() -> Kernel:
-    """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
+    """Return the kernel of one step of the explicit formula.
+
+    `history` is u_n, F_(n-1), F_(n-2), F_(n-3); `weights` are the decay and g_3 ... g_0, see `formula_weights`.
+    """
 
     def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
         u_n, *past = history
         F = [sideslip_rest(inputs, u_n, SYMBOLS.sqrt), *past]
         decay, *g = weights
-        u = plus(decay * u_n, g[::-1], F)
+        u = weighted_sum(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}
 
     return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
 
 
-def _slips() -> Kernel:
-    """Return whether a sideslip is too large."""
-    return Kernel.traced(lambda w: {"refused": [~holds(w[0])]}, {"w": 1})
+def _check_sideslip() -> Kernel:
+    """Return the kernel of a check of the sideslip."""
+    return Kernel.traced(lambda w: {"refused": [~sideslip_allowed(w[0])]}, {"w": 1})
 
 
 def _motion() -> Kernel:
-    """Return `in_sideslip`, and whether it is beyond one of the `LIMITS`."""
+    """Return the kernel of `in_sideslip`, and a check of the `LIMITS`."""
 
     def equation(along: Any, w: Any, coefficients: Any, limits: Any) -> dict[str, Any]:
         *motion, F_u, F_r, gamma = in_sideslip(

@@ -1,7 +1,7 @@
-"""Section III: the dynamically feasible reference for a path, in the sideslip form.
+"""The dynamically feasible reference of a path, by section III of the paper in terms of the sideslip.
 
-A vehicle without a side thruster cannot choose its heading on a path: (2b) fixes the sideslip gamma between hull and
-velocity, see `auv_gym.planning.sideslip`. Sideslip and path give states and forces.
+A vehicle without a side thruster cannot choose its heading on a path: (2b) determines the sideslip gamma, see
+`auv_gym.planning.sideslip`. The path and the sideslip determine the states and forces.
 """
 
 from __future__ import annotations
@@ -19,26 +19,29 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.feasibility import check_forces, check_rates, check_sideslip
+from auv_gym.planning.crossed import motion, sideslips
+from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates, check_sideslip
 from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
 from auv_gym.planning.paths import Path, RandomSmooth, unstack
 from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, in_sideslip
 
-RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
-MAX_STEP = 0.4  # largest integration step, in memories Dm/d22
-MAX_RESPONSE = 0.1  # largest integration step times the rate at which the rest responds to w; unstable above 0.3
-MAX_REFINEMENT = 128  # of the step for that reason
-MAX_SAMPLES = 2**21  # of a path, which bounds time and memory
+RUN_IN = 12.0  # time constants Dm/d22 integrated before the first sample; the initial error decays by exp(-12)
+MAX_STEP = 0.4  # largest integration step, in time constants Dm/d22
+MAX_RESPONSE = 0.1  # largest integration step times `sideslip.response`; the integration is unstable above 0.3
+_NO_BALANCE = "no yaw rate balances the sway force of cross-flow"
+_FINER = 8  # samples in a step of `MAX_STEP` of a vehicle with cross-flow, see `crossed`
+MAX_REFINEMENT = 128  # largest refinement of the step for `MAX_RESPONSE`
+MAX_SAMPLES = 2**21  # largest number of samples of a path, which bounds time and memory
 _CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
-"""What the driver calls the families."""
-_GIVEN = -1  # what it calls a path whose derivatives are given
-_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 8 + LIMITS  # where they stand among the settings of the driver
-BETA = RATES.index("beta")  # the place of the path's direction among its rates
+"""The codes of the families in the driver."""
+_GIVEN = -1  # the code of a path whose derivatives are given
+_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 8 + LIMITS  # indices in the settings of the driver
+BETA = RATES.index("beta")  # index of the direction among the rates of a path
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What keeps the vehicle on its path: one entry per time, arrays of shape (T,), or (T, N) for N paths."""
+    """States and open-loop forces of the vehicle on its path: arrays of shape (T,), or (T, N) for N paths."""
 
     t: Array  # [s], shape (T,)
     x: Array  # [m]
@@ -66,21 +69,21 @@ def plan(
     force_limits: tuple[float, float] | None = None,
     fin: float = 0.0,
 ) -> Reference:
-    """Return the reference that keeps the vehicle on the path at the given times, section III.
+    """Return the reference with which the vehicle follows the path at the given times, by section III of the paper.
 
     Args:
-        path: any path that is three times differentiable in time, or N of them at once.
-        vehicle: the vehicle that is to follow it, in still water.
+        path: a path that is three times differentiable in time, or a sequence of N paths.
+        vehicle: the vehicle, in still water.
         times: evenly spaced times [s], shape (T,), T >= 2, inside the path's domain.
         force_limits: largest |F_u| [N] and |F_r| [N m]; unchecked if None.
-        fin: of the fins [kg], see `actuators.Actuators`; they give |F_r| up to fin u^2 only.
+        fin: parameter of the fins [kg], see `actuators.Actuators`; they give |F_r| up to fin u^2 only.
 
     Returns:
         The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
 
     Raises:
-        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan would
-            need more than `MAX_SAMPLES` samples, or a path's derivatives have another shape than `Path` says.
+        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan needs
+            more than `MAX_SAMPLES` samples, or the derivatives of a path do not have the shape that `Path` defines.
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
@@ -98,10 +101,10 @@ class Planner:
 
     Args:
         vehicle: see `plan`.
-        times: see `plan`; they are taken as they are.
+        times: see `plan`; they are not checked.
         force_limits: see `plan`.
         fin: see `plan`.
-        most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] that `table` may give.
+        most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] of a `table`.
         many: see `kernels.driver`.
     """
 
@@ -118,17 +121,20 @@ class Planner:
         self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
+        self._crossed = any(vehicle.cross_flow)
         self._slip_mass = vehicle.coefficients.slip_mass
         self._period = float(times[-1] - times[0]) / (len(times) - 1)
-        memory = self._slip_mass / vehicle.d22
-        self._substeps = max(math.ceil(self._period / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
+        time_constant = self._slip_mass / vehicle.d22
+        self._substeps = max(math.ceil(self._period / (MAX_STEP * time_constant)), math.ceil(ORDER / (len(times) - 1)))
+        if self._crossed:
+            self._substeps *= _FINER
         self._grids: dict[tuple[int, int], _Grid] = {}
 
     def plan(self, path: Path) -> Reference:
-        """Return the reference for a path.
+        """Return the reference of a path.
 
         Raises:
-            ValueError: the plan would need more than `MAX_SAMPLES` samples.
+            ValueError: the plan needs more than `MAX_SAMPLES` samples.
             InfeasibleReferenceError: see `plan`.
         """
         rest = np.empty((3, len(self.times)))
@@ -137,9 +143,9 @@ class Planner:
         return Reference(self.times, *table.T, *rest)
 
     def table(self, path: Path) -> Array | None:
-        """Return the `Reference.table` of a path; None where `plan` raises an error, or `most` is exceeded."""
+        """Return the `Reference.table` of a path; None if `plan` raises an error or `most` is exceeded."""
         table = self._compiled(path)
-        if driver(self.many) is None:
+        if self._crossed or driver(self.many) is None:
             with suppress(ValueError):
                 table, _ = self._in_python(path)
                 if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
@@ -147,9 +153,9 @@ class Planner:
         return table
 
     def tables(self, paths: Any, n: int) -> list[Array | None]:
-        """Return the `table` of each of n paths of one family, made by `stack`."""
+        """Return the `table` of each of n paths of one family, combined by `stack`."""
         function, code = driver(self.many), _CODES.get(type(paths), _GIVEN)
-        if function is None or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
+        if function is None or self._crossed or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
             return [self.table(path) for path in unstack(paths, n)]
         numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
         given = np.empty((n, len(numbers)))
@@ -162,20 +168,21 @@ class Planner:
         first, settings = (array.__array_interface__["data"][0] for array in (given, grid.settings))
         for j in range(n):
             table = np.empty((len(self.times), 8))
-            at = table.__array_interface__["data"][0]
-            result = function(code, first + j * given.strides[0], None, settings, at, None)
+            address = table.__array_interface__["data"][0]
+            result = function(code, first + j * given.strides[0], None, settings, address, None)
             found.append(table if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
         return found
 
     def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
         """Return a `Reference.table`, and write gamma, v_p, omega to `rest`.
 
-        None without a compiler, and for a path that cannot be followed: `_in_python` says why.
+        Return None without a compiler, for a vehicle with cross-flow, and for a path that cannot be followed;
+        `_in_python` then raises the error.
         """
-        if (function := driver(self.many)) is None:
+        if self._crossed or (function := driver(self.many)) is None:
             return None
         code, given = _CODES.get(type(path), _GIVEN), None
-        if code == len(FAMILIES) and self.times[0] != 0:  # an integral that begins there
+        if code == len(FAMILIES) and self.times[0] != 0:  # the driver integrates from the first time on
             code = _GIVEN
         numbers = np.array([path.x0, path.y0, path.heading, *path.numbers] if code != _GIVEN else [0.0, 0.0, 0.0])  # type: ignore[attr-defined]
         table, grid = np.empty((len(self.times), 8)), self._grid(path)
@@ -190,52 +197,67 @@ class Planner:
         return None
 
     def _grid(self, path: Path, refinement: int = 1) -> _Grid:
-        """Return the samples at which a path is looked at, from before the first time on if its domain allows that."""
+        """Return the samples for a path; they begin before the first time if the path's domain does."""
         damping, h = self.vehicle.d22, self._period / (self._substeps * refinement)
-        if lift := self.vehicle.Y_uv:  # a sideslip fades sooner
+        if lift := self.vehicle.Y_uv:  # it reduces the time constant of the sideslip
             damping += lift * float(np.hypot(*path.derivatives(self.times[:1])[1, :, 0]))
-        lead = int(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h)
+        lead = _even(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h, self._crossed)
         if (grid := self._grids.get((lead, refinement))) is None:
             substeps, scale = self._substeps * refinement, h / self._slip_mass
             numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
-            more = h / MAX_RESPONSE if refinement == 1 else 0.0, scale, *self._limits, *self.most
-            settings = np.array([*self._coefficients, *numbers, *more, *formula_weights(self.vehicle.d22 * scale)])
+            bounds = h / MAX_RESPONSE if refinement == 1 else 0.0, scale, *self._limits, *self.most
+            settings = np.array([*self._coefficients, *numbers, *bounds, *formula_weights(self.vehicle.d22 * scale)])
             grid = self._grids[lead, refinement] = _Grid(h, lead, substeps, len(self.times), settings)
         return grid
 
     def _in_python(self, path: Path) -> tuple[Array, Array]:
-        """Return what `_compiled` does, from the same kernels; a path that cannot be followed raises the error."""
+        """Return the table and gamma, v_p, omega of `_compiled`, by the same kernels.
+
+        Raises:
+            ValueError: see `plan`.
+            InfeasibleReferenceError: see `plan`.
+        """
         k, grid = kernels(), self._grid(path)
-        position, along, terms, response = self._looked_along(path, grid)
+        position, along, terms, response = self._along_path(path, grid)
         refinement = min(math.ceil(grid.h / MAX_RESPONSE * response.max()), MAX_REFINEMENT)
         if refinement > 1:
             grid = self._grid(path, refinement)
-            position, along, terms, _ = self._looked_along(path, grid)
-        times, lead = grid.times(self.times), grid.lead
-        w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
-        check_sideslip(w[lead:], times[lead:], position[:, lead:])
+            position, along, terms, _ = self._along_path(path, grid)
+        times, lead, every = grid.times(self.times), grid.lead, 2 if self._crossed else 1
+        if self._crossed:
+            start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
+            w = sideslips(along, float(start[0, 0]), np.array(self.vehicle.acting), grid.h)
+        else:
+            w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
+        check_sideslip(w[lead // every :], times[lead::every], position[:, lead::every])
         beta = along[BETA : BETA + 1]
-        turns = k["bends"](beta=beta[:, :-1], next_beta=beta[:, 1:])["turns"]
+        turns = k["turns"](beta=beta[:, :-1], next_beta=beta[:, 1:])["turns"]
         beta[:, lead + 1 :] -= 2 * math.pi * np.cumsum(turns[:, lead:], axis=1)
-        kept = np.s_[:, lead :: grid.substeps]
-        limits = np.array([*self._limits, *self.most])
-        found = k["motion"](along=along[kept], w=w[None][kept], coefficients=self._coefficients, limits=limits)
-        _, u, _, _, F_u, F_r = found["motion"]
-        check_forces(F_u, F_r, u, self._limits, self.times, position[kept])
-        rates = PathRates(*along[kept])
-        table = np.ascontiguousarray(np.vstack((position[kept], found["motion"])).T)
-        return table, np.vstack((found["gamma"], rates.v_p, rates.omega))
+        instants = np.s_[:, lead :: grid.substeps]
+        w = w[lead // every :: grid.substeps // every]
+        if self._crossed:
+            (*planned, gamma), there = motion(along[instants], w, np.array(self.vehicle.acting))
+            check_feasible(there, lambda _: _NO_BALANCE, self.times, position[instants])
+        else:
+            limits = np.array([*self._limits, *self.most])
+            found = k["motion"](along=along[instants], w=w[None], coefficients=self._coefficients, limits=limits)
+            planned, gamma = [*found["motion"]], found["gamma"][0]
+        _, u, _, _, F_u, F_r = planned
+        check_forces(F_u, F_r, u, self._limits, self.times, position[instants])
+        rates = PathRates(*along[instants])
+        table = np.ascontiguousarray(np.vstack((position[instants], planned)).T)
+        return table, np.vstack((gamma, rates.v_p, rates.omega))
 
-    def _looked_along(self, path: Path, grid: _Grid) -> tuple[Array, Array, Array, Array]:
-        """Return position, `PathRates`, terms of the sideslip and its response along a path, rows of its samples."""
+    def _along_path(self, path: Path, grid: _Grid) -> tuple[Array, Array, Array, Array]:
+        """Return position, `PathRates`, terms of the sideslip and its response at the samples, rows of shape (T,)."""
         if grid.samples > MAX_SAMPLES:
             raise ValueError(
-                f"the plan would need {grid.samples} samples of the path, at most {MAX_SAMPLES} are made: fewer steps, "
-                "a path that turns more slowly, or a vehicle with a longer memory (m22 - m11)/d22 need fewer"
+                f"the plan needs {grid.samples} samples of the path; at most {MAX_SAMPLES} are allowed. Fewer steps, "
+                "a path that turns more slowly, or a vehicle with a longer time constant (m22 - m11)/d22 need fewer"
             )
         times = grid.times(self.times)
         derivatives, scale = _derivatives(path, times), grid.settings[_SCALE : _SCALE + 1]
-        found = kernels()["look_along"](
+        found = kernels()["along_path"](
             derivatives=derivatives, pose=np.zeros(3), scale=scale, coefficients=self._coefficients
         )
         along = PathRates(*found["along"])
@@ -243,54 +265,59 @@ class Planner:
         return found["position"], found["along"], found["terms"], found["response"]
 
     def _sideslip(self, along: Array, terms: Array, weights: Array) -> Array:
-        """Integrate the equation of `sideslip` for w along the samples.
+        """Return w at the samples, by integrating the equation of `sideslip`.
 
-        Where it passes 90 degrees it may give what is no number, which `check_sideslip` refuses.
+        Beyond 90 degrees it may be nan, which `check_sideslip` refuses.
         """
         k, split = kernels(), (ORDER - 1) * (ORDER + 1)
         start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
-        opening = k["opening"](
+        first = k["first_samples"](
             FIXED_POINT,
             u=np.tile(start, (ORDER, 1)),
             inputs=terms[:, :ORDER].T.reshape(-1, 1),
             weights=weights[:split, None],
         )
         u = np.empty((terms.shape[1], 1, 1))
-        u[:ORDER, 0] = opening["u"]
-        history = np.concatenate((opening["u"][-1:], opening["rest"][-2::-1]))
+        u[:ORDER, 0] = first["u"]
+        history = np.concatenate((first["u"][-1:], first["rest"][-2::-1]))
         inputs = np.ascontiguousarray(terms.T)[:, :, None]
         step = k["recursion"].bound(history=history, weights=weights[split:, None], inputs=inputs, u=u[1:])
-        step(ORDER - 1, len(u) - ORDER)  # from n it gives u_(n+1)
+        step(ORDER - 1, len(u) - ORDER)  # step n computes u_(n+1)
         return u.ravel()
 
 
-class _Grid(NamedTuple):
-    """The samples that the sideslip is integrated on."""
+def _even(samples: float, wanted: bool) -> int:
+    """Return a number of samples as an integer, an even one if that is wanted."""
+    return 2 * int(samples / 2) if wanted else int(samples)
 
-    h: float  # [s] from one to the next
-    lead: int  # how many of them come before the plan's first time
-    substeps: int  # from one of the plan's times to the next
-    instants: int  # of the plan
-    settings: Array  # what the driver takes, see driver.c
+
+class _Grid(NamedTuple):
+    """The samples of the integration of the sideslip."""
+
+    h: float  # [s] integration step
+    lead: int  # number of samples before the first time of the plan
+    substeps: int  # number of steps from one time of the plan to the next
+    instants: int  # number of times of the plan
+    settings: Array  # argument c of `plan` in driver.c
 
     @property
     def samples(self) -> int:
-        """How many there are but for the last one."""
+        """Number of integration steps."""
         return self.lead + (self.instants - 1) * self.substeps
 
     def times(self, plan: Array) -> Array:
-        """Return the samples' times [s] for those of the plan."""
+        """Return the times of the samples [s], for the times of the plan [s]."""
         times: Array = plan[0] + self.h * np.arange(-self.lead, (self.instants - 1) * self.substeps + 1)
-        times[-1] = plan[-1]  # not an ulp past the path's end
+        times[-1] = plan[-1]  # exactly, since rounding could exceed the end of the path
         return times
 
 
 def _derivatives(path: Path, times: Array) -> Array:
-    """Return what a path gives for T times as rows of numbers, shape (8, T)."""
+    """Return the `Path.derivatives` at T times as an array of shape (8, T)."""
     given = np.asarray(path.derivatives(times), dtype=np.float64)
     if given.shape != (4, 2, len(times)):
         raise ValueError(
-            f"{type(path).__name__}.derivatives gives an array of shape {given.shape} for {len(times)} times; "
+            f"{type(path).__name__}.derivatives returns an array of shape {given.shape} for {len(times)} times; "
             f"it must be (4, 2, {len(times)})"
         )
     return np.ascontiguousarray(given.reshape(8, -1))
@@ -315,19 +342,19 @@ def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
 def assemble(
     times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle, sway_load: tuple[Array, Array]
 ) -> Reference:
-    """Return states, their rates and the forces (16) of N vehicles from their paths and the sine of their sideslips.
+    """Return the states and forces (16) of N vehicles on their paths, for the sines of their sideslips.
 
     Args:
-        times: T of them [s].
-        position: x, y of the paths at those times [m], shape (2, T, N).
-        along: speed, direction and their rates along the paths, of shape (T, N).
+        times: T times [s].
+        position: x, y of the paths at these times [m], shape (2, T, N).
+        along: rates of the paths, of shape (T, N).
         w: sine of the sideslip, shape (T, N).
-        vehicle: whose `coefficients` are those of N vehicles, rows of shape (N,).
-        sway_load: external force Y on the vehicle along its sway axis [N], in (2b), and its rate [N/s], shape (T, N).
+        vehicle: N vehicles as one, whose coefficients are rows of shape (N,).
+        sway_load: external force Y along the sway axis [N] in (2b), and its time derivative [N/s], of shape (T, N).
     """
     rows = np.array([getattr(along, name) for name in RATES])
     turns = np.round(np.diff(rows[BETA], axis=0) / (2 * math.pi))
-    rows[BETA, 1:] -= 2 * math.pi * np.cumsum(turns, axis=0)  # continuous
+    rows[BETA, 1:] -= 2 * math.pi * np.cumsum(turns, axis=0)  # make the direction continuous
     spread = [np.broadcast_to(number, w.shape) for number in (*vehicle.coefficients, *sway_load)]
     arrays = (np.reshape(part, (len(part), -1)) for part in (rows, w[None], spread[:-2], spread[-2:]))
     motion = _motion_kernel()(**dict(zip(("along", "w", "coefficients", "load"), arrays, strict=True)))["motion"]
@@ -337,7 +364,7 @@ def assemble(
 
 @cache
 def _motion_kernel() -> Kernel:
-    """Return `in_sideslip` as a kernel, for several vehicles."""
+    """Return the kernel of `in_sideslip` for several vehicles."""
 
     def equation(along: Any, w: Any, coefficients: Any, load: Any) -> dict[str, Any]:
         return {"motion": in_sideslip(PathRates(*along), w[0], Coefficients(*coefficients), tuple(load), SYMBOLS)}
@@ -346,9 +373,9 @@ def _motion_kernel() -> Kernel:
 
 
 def printed_surge_rate(u_R: float, v_p: float, v_p_dot: float, omega: float, vehicle: Vehicle) -> float:
-    """Return u_R' [m/s^2] by (15) as printed, with its v_R^3 read as the norm v_p^3 as (15') confirms.
+    """Return u_R' [m/s^2] by (15) as printed, with the norm v_p^3 in place of its v_R^3, as (15') confirms.
 
-    For comparison only: it holds for clockwise curves (omega < 0) and is singular at u_R = v_p.
+    It is for comparison only: it holds for clockwise curves (omega < 0) and is singular at u_R = v_p.
     """
     m11, m22, d22 = vehicle.m11, vehicle.m22, vehicle.d22
     root = math.sqrt(max(v_p * v_p - u_R * u_R, 0.0))

@@ -1,7 +1,7 @@
-"""Pictures of a tracking vehicle: x to the right, y up, angles counter-clockwise, as in the paper's plots.
+"""Pictures of a vehicle and its reference: x to the right, y up, angles counter-clockwise, as in the paper's plots.
 
-`Renderer.draw` turns one `View` (SI units) into one picture. Colours carry meaning: blue is the plan, orange the
-vehicle, sky blue the current, vermilion the error and saturation. pygame is imported when a `Renderer` is made.
+`Renderer.draw` draws a picture of a `View` (SI units). Blue is the reference, orange the vehicle, sky blue the current,
+vermilion the error and saturation. pygame is imported when a `Renderer` is made.
 """
 
 from auv_gym.rendering.camera import View

@@ -1,7 +1,7 @@
-"""What a picture is drawn on and with: colours that are safe for colour-blind readers (Okabe-Ito), shapes, text.
+"""The canvas of a picture: colours that colour-blind readers can distinguish (Okabe-Ito), shapes, text.
 
-Long lines are drawn by antialiased lines side by side; small shapes in close-ups, larger and scaled down; what does not
-change from picture to picture is kept as an image.
+Long lines consist of parallel antialiased lines. Small shapes are drawn larger and scaled down. Parts that are the same
+in all pictures are kept as images.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ Color = tuple[int, int, int]
 ScreenBox = tuple[float, float, float, float]
 """Left, top, width and height [units] of a rectangle."""
 
-VEHICLE_LENGTH: Final = 2.0  # [m] about right for a neutrally buoyant torpedo of 200 kg
-MIN_VEHICLE_LENGTH: Final = 46.0  # [units] below this the vehicle is drawn larger than to scale, and the scale says so
-NEAR_EXTENT: Final = 8.0  # [m] half the height of the picture when the error is small
+VEHICLE_LENGTH: Final = 2.0  # [m] of a neutrally buoyant torpedo of about 200 kg
+MIN_VEHICLE_LENGTH: Final = 46.0  # [units] smallest length at which the vehicle is drawn
+NEAR_EXTENT: Final = 8.0  # [m] half the height of the picture at a small error
 CAMERA_TIME: Final = 1.0  # [s] time constant of zoom and pan
-ARROW_LENGTH: Final = 72.0  # [units] arrow of the fastest speed lately seen; velocity and current share this scale
-ARROW_MEMORY: Final = 20.0  # [s] time constant with which that speed is forgotten
-PICTURE: Final = (960, 720)  # [units] the layout's nominal size; a unit is a pixel at that size
-SMALLEST_UNIT: Final = 0.25  # [px] in smaller pictures shapes do not shrink any further
-LEGIBLE: Final = 18  # [px] texts of a smaller size are drawn larger and scaled down
-TEXTS: Final = 1024  # images of texts that are kept
-DASH: Final = 7.0  # [px] a dash with its gap is not shorter
-SHADES: Final = 32  # steps of a colour that fades
+ARROW_LENGTH: Final = 72.0  # [units] arrow of the largest recent speed, of the vehicle or the current
+ARROW_MEMORY: Final = 20.0  # [s] time constant of the decay of that speed
+PICTURE: Final = (960, 720)  # [units] nominal size, at which a unit is a pixel
+SMALLEST_UNIT: Final = 0.25  # [px] smallest size of a unit
+LEGIBLE: Final = 18  # [px] smaller texts are drawn larger and scaled down
+TEXTS: Final = 1024  # number of images of texts that are kept
+DASH: Final = 7.0  # [px] shortest dash with its gap
+SHADES: Final = 32  # number of steps of a colour gradient
 
 SEA_COLOUR: Final[Color] = (243, 248, 251)  # the water
 GRID: Final[Color] = (205, 219, 228)  # lines of constant x and y, and frames
 INK: Final[Color] = (32, 48, 60)  # text and outlines
-MUTED: Final[Color] = (98, 116, 130)  # text of less weight
-WHITE: Final[Color] = (255, 255, 255)  # panels, and the halo of an arrow
-PLAN: Final[Color] = (0, 114, 178)  # the path that lies ahead
-PLAN_DONE: Final[Color] = (168, 200, 220)  # the path that is behind
-VEHICLE: Final[Color] = (230, 159, 0)  # the hull and its trail
+MUTED: Final[Color] = (98, 116, 130)  # text of secondary importance
+WHITE: Final[Color] = (255, 255, 255)  # cards, and the outline of an arrow
+PLAN: Final[Color] = (0, 114, 178)  # the future path of the reference
+PLAN_DONE: Final[Color] = (168, 200, 220)  # the past path of the reference
+VEHICLE: Final[Color] = (230, 159, 0)  # the vehicle and its trail
 VELOCITY: Final[Color] = (0, 110, 82)  # the arrow of the velocity over ground
 CURRENT_COLOUR: Final[Color] = (86, 180, 233)  # the arrows of the current
 ALERT: Final[Color] = (213, 94, 0)  # the position error, and forces at their limit
 
 
 def mix(background: Color, color: Color, weight: float) -> Color:
-    """Return a colour laid over a background with a weight of 0 ... 1, in `SHADES` steps."""
+    """Return the mixture of a background and a colour with a weight of 0 ... 1, in `SHADES` steps."""
     return _shade(background, color, round(SHADES * weight))
 
 
@@ -60,13 +60,13 @@ def _shade(background: Color, color: Color, step: int) -> Color:
 
 
 class Canvas:
-    """Drawing in units of the nominal layout, from the bottom up.
+    """A picture that is drawn in units of the nominal size; later shapes cover earlier ones.
 
     Args:
         pygame: the module.
         size: width and height [px].
-        unit: size of a unit [px]; None: as large as a layout of `PICTURE` fits in.
-        surface: of that size, to be drawn on; None: one of its own.
+        unit: size of a unit [px]; None for the largest one at which `PICTURE` fits in.
+        surface: the surface to draw on, of this size; None for a new one.
     """
 
     def __init__(
@@ -75,10 +75,10 @@ class Canvas:
         self._pygame, self._size = pygame, size
         self.unit = unit or max(min(size[0] / PICTURE[0], size[1] / PICTURE[1]), SMALLEST_UNIT)  # [px]
         self.extent: Array = np.array(size) / self.unit  # (2,) [units]
-        # Three bytes a pixel in this order are what an array of a picture holds.
+        # Three bytes a pixel in the order of an array.
         self._surface = surface or pygame.Surface(size, depth=24, masks=(0xFF, 0xFF00, 0xFF0000, 0))
-        self._corner, self._factor, self._near = np.zeros(2), self.unit, False  # of what is drawn on now
-        self._oversampling = 2 if self.unit >= 1.0 else 4  # close-ups are so much larger; a power of two is exact
+        self._corner, self._factor, self._near = np.zeros(2), self.unit, False  # of the present surface
+        self._oversampling = 2 if self.unit >= 1.0 else 4  # enlargement of small shapes; powers of two are exact
         self._font: Callable[[int], Any] = lru_cache(maxsize=None)(partial(pygame.font.Font, None))
         self._image: Callable[..., Any] = lru_cache(maxsize=TEXTS)(self._rendered)
         self._cards: dict[Hashable, Any] = {}
@@ -91,7 +91,7 @@ class Canvas:
         return rows[:, : 3 * width].reshape(height, width, 3).copy()
 
     def part(self, box: ScreenBox) -> Canvas:
-        """Return the canvas of a rectangle of this one, its own corner at the origin."""
+        """Return the canvas of a rectangle of this one, with the origin at its corner."""
         x, y, width, height = (round(n * self.unit) for n in box)
         return Canvas(self._pygame, (width, height), self.unit, self._surface.subsurface((x, y, width, height)))
 
@@ -101,16 +101,16 @@ class Canvas:
         return self._surface
 
     def fill(self, color: Color) -> None:
-        """Begin a new picture on this ground."""
+        """Fill the picture with a colour."""
         self._surface.fill(color)
 
     def _placed(self, points: ArrayLike) -> Array:
-        """Return points (k, 2) [units] as pixels (k, 2) of what is drawn on now."""
+        """Return points (k, 2) [units] as pixels (k, 2) of the present surface."""
         scaled = (np.asarray(points, dtype=np.float64) - self._corner) * self._factor
         return np.minimum(np.maximum(scaled, -1e5), 1e5, out=scaled)
 
     def rule(self, axis: int, positions: Sequence[float], color: Color, width: float) -> None:
-        """Lines across the whole picture at these places [units] along an axis, over the sea."""
+        """Draw lines across the picture at positions [units] along an axis, on the background `SEA_COLOUR`."""
         half, fill, (w, h) = 0.5 * max(width * self.unit, 0.5), self._surface.fill, self._size
         for position in positions:
             low, high = position * self.unit - half, position * self.unit + half
@@ -119,7 +119,7 @@ class Canvas:
                 fill(shade, (k, 0, 1, h) if axis == 0 else (0, k, w, 1))
 
     def line(self, points: ArrayLike, color: Color, width: float, cuts: Sequence[tuple[int, int, Color]] = ()) -> None:
-        """A polyline (k, 2); fewer than two points draw nothing. `cuts` are colours of its points from ... to."""
+        """Draw a polyline (k, 2) of at least two points; `cuts` are (first, end, colour) of its parts."""
         pixels = self._placed(points)
         if len(pixels) < 2:
             return
@@ -132,7 +132,7 @@ class Canvas:
                 self._pygame.draw.aalines(self._surface, shade, False, strand[start:stop])
 
     def dashes(self, start: Array, stop: Array, color: Color, width: float, period: float) -> None:
-        """A dashed line from one point (2,) to another; a dash and the gap behind it are `period` [units] long."""
+        """Draw a dashed line between two points (2,); `period` is the length of a dash with its gap [units]."""
         period = max(period, DASH / self.unit)
         count = max(1, round(float(np.hypot(*(stop - start))) / period))
         ends = (np.arange(count)[:, None] + (0.0, 0.6)) / count
@@ -142,13 +142,13 @@ class Canvas:
                 self._pygame.draw.aaline(self._surface, color, first, (a + end * (c - a), b + end * (d - b)))
 
     def polygon(self, points: ArrayLike, color: Color, edge: Color, width: float) -> None:
-        """A filled polygon (k, 2) with an outline of a width, in a close-up."""
+        """Draw a filled polygon (k, 2) with an outline of a width [units], in a close-up."""
         corners = self._placed(points).tolist()
         self._pygame.draw.polygon(self._surface, color, corners)
         self._pygame.draw.lines(self._surface, edge, True, corners, max(1, round(width * self._factor)))
 
     def arrows(self, starts: Array, arrow: Array, colors: Sequence[Color], width: float) -> None:
-        """Arrows (2,) [units] from each of `starts` (k, 2); too short for a head, none is drawn."""
+        """Draw an arrow (2,) [units] from each of `starts` (k, 2); arrows shorter than 2 units are left out."""
         length = float(np.hypot(*arrow))
         if length < 2.0 or len(starts) == 0:
             return
@@ -172,12 +172,12 @@ class Canvas:
 
     @contextmanager
     def closeup(self, points: ArrayLike, margin: float) -> Iterator[None]:
-        """Draw what lies within a margin [units] of points (k, 2) with smooth edges."""
+        """Return a context in which shapes within a margin [units] of points (k, 2) are drawn with smooth edges."""
         places = self._placed(points)
         low = np.maximum(np.floor(places.min(axis=0) - margin * self.unit), 0.0)
         high = np.minimum(np.ceil(places.max(axis=0) + margin * self.unit), self._size)
         width, height = (high - low).astype(int).tolist()
-        if width <= 0 or height <= 0:  # out of the picture
+        if width <= 0 or height <= 0:  # outside of the picture
             low, width, height = np.zeros(2), 1, 1
         picture, corner = self._surface, low.astype(int).tolist()
         part = picture.subsurface((*corner, width, height))
@@ -191,7 +191,7 @@ class Canvas:
             picture.blit(self._pygame.transform.smoothscale(drawn, (width, height)), corner)
 
     def tint(self, points: ArrayLike, color: Color, weight: float, width: float) -> None:
-        """A translucent polygon (k, 2) with an outline of a width, in a close-up."""
+        """Draw a translucent polygon (k, 2) with an outline of a width [units], in a close-up."""
         places = self._placed(points)
         corner = np.floor(places.min(axis=0))
         corners = (places - corner).tolist()
@@ -202,25 +202,25 @@ class Canvas:
         self._pygame.draw.lines(self._surface, color, True, places.tolist(), thickness)
 
     def box(self, box: ScreenBox, color: Color, radius: float = 0.0) -> None:
-        """A filled rectangle with rounded corners, at least a pixel wide and high."""
+        """Draw a filled rectangle with rounded corners, at least one pixel wide and high."""
         x, y, width, height = (n * self.unit for n in box)
         rectangle = round(x), round(y), max(1, round(x + width) - round(x)), max(1, round(y + height) - round(y))
         self._pygame.draw.rect(self._surface, color, rectangle, border_radius=round(radius * self.unit))
 
     def card(self, box: ScreenBox, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
-        """A white card with a thin border, and on it what does not change as long as size and key stay.
+        """Draw a white card with a thin border and a fixed content, which is kept as an image.
 
         Args:
             box: its rectangle.
-            key: names the content.
-            content: draws it, in units from the card's left top corner.
+            key: identifies the content.
+            content: draws the content on the canvas of the card.
         """
         x, y, width, height = box
         if (width, height, key) not in self._cards:
             self._cards[width, height, key] = self._drawn_card(width, height, content)
-        inside, whole, rim = self._cards[width, height, key]
+        interior, whole, rim = self._cards[width, height, key]
         left, top = round((x - 1.0) * self.unit), round((y - 1.0) * self.unit)
-        self._surface.blit(inside, (left + rim, top + rim))
+        self._surface.blit(interior, (left + rim, top + rim))
         w, h = whole.get_size()
         for part in (
             (0, 0, w, rim),
@@ -231,7 +231,7 @@ class Canvas:
             self._surface.blit(whole, (left + part[0], top + part[1]), part)
 
     def _drawn_card(self, width: float, height: float, content: Callable[[Canvas], None]) -> tuple[Any, Any, int]:
-        """Return the inside of a card, the whole of it with translucent corners, and the width of its rim [px]."""
+        """Return the interior of a card, the whole card with translucent corners, and the width of its rim [px]."""
         size = math.ceil((width + 2.0) * self.unit), math.ceil((height + 2.0) * self.unit)
         draw, large = self._pygame.draw, (4 * size[0], 4 * size[1])
         shape = self._pygame.Surface(large, self._pygame.SRCALPHA, 32)
@@ -245,11 +245,14 @@ class Canvas:
         own.fill(WHITE)
         content(own)
         rim = min(math.ceil(9.0 * self.unit), min(size) // 2)
-        inside = own.surface.subsurface((rim, rim, size[0] - 2 * rim, size[1] - 2 * rim))
-        return inside, whole, rim
+        interior = own.surface.subsurface((rim, rim, size[0] - 2 * rim, size[1] - 2 * rim))
+        return interior, whole, rim
 
     def text(self, text: str, x: float, y: float, size: float = 17.0, color: Color = INK, align: float = 0.0) -> float:
-        """One line with its middle at height y, from x (align 0), around x (0.5) or up to x (1); returns its width."""
+        """Draw a line of text and return its width [units].
+
+        Its middle is at height y. It begins at x (align 0), is centred at x (0.5) or ends at x (1).
+        """
         image = self._image(text, max(6, round(1.25 * size * self.unit)), color)
         width, height = image.get_size()
         self._surface.blit(image, (round(x * self.unit - align * width), round(y * self.unit - 0.5 * height)))
@@ -262,13 +265,13 @@ class Canvas:
     def _rendered(self, text: str, height: int, color: Color) -> Any:
         if height >= LEGIBLE:
             return self._font(height).render(text, True, color)
-        large = self._font(4 * height).render(text, True, color)  # letters of whole pixels would be set unevenly
+        large = self._font(4 * height).render(text, True, color)  # small letters are spaced unevenly
         width, height = (max(1, round(n / 4)) for n in large.get_size())
         return self._pygame.transform.smoothscale(large, (width, height))
 
 
 def _strands(pixels: Array, thickness: float) -> list[list[tuple[float, float]]]:
-    """Return the lines of one pixel, side by side, that make a polyline (k, 2) of a thickness [px]."""
+    """Return parallel lines of one pixel that form a polyline (k, 2) of a thickness [px]."""
     if thickness <= 1.5:
         return [pixels.tolist()]
     along = np.empty_like(pixels)

@@ -1,4 +1,4 @@
-"""What is written over a scene: the error beside the vehicle, and in the corners numbers, legend, scale and forces."""
+"""Cards with text: the error beside the vehicle, and in the corners numbers, legend, scale and forces."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from auv_gym.rendering.canvas import (
 from auv_gym.rendering.scene import Body, draw_ghost, draw_trail, draw_vehicle
 
 _NAMES = ("vehicle", "reference", "path done, ahead", "trail", "velocity", "current")
-"""What the legend explains, from its top."""
+"""Entries of the legend from top to bottom."""
 
 
 def draw_cards(canvas: Canvas, camera: Camera, view: View) -> None:
@@ -38,16 +38,16 @@ def draw_cards(canvas: Canvas, camera: Camera, view: View) -> None:
 
 
 def _draw_error(canvas: Canvas, camera: Camera, view: View) -> None:
-    """The error in words, to starboard of the line between vehicle and reference."""
+    """Draw the position error to starboard of the line between vehicle and reference."""
     start, stop = camera.project(view.state[:2]), camera.project(view.reference[:2])
-    clear = np.array((100.0, 62.0)) + min(0.5 * math.hypot(*(stop - start)), 40.0)  # of hull and ghost
+    clear = np.array((100.0, 62.0)) + min(0.5 * math.hypot(*(stop - start)), 40.0)  # distance from both shapes
     x, y = (0.5 * (start + stop) + clear * (math.sin(view.state[2]), math.cos(view.state[2]))).tolist()
     canvas.card((x - 62.0, y - 13.0, 124.0, 26.0))
     canvas.text(f"error {metres(view.position_error)}", x, y, color=ALERT, align=0.5)
 
 
 def _draw_numbers(canvas: Canvas, view: View) -> None:
-    """Top left: title, time, error, speed."""
+    """Draw title, time, error and speed in the top left corner."""
     width = max(240.0, canvas.width_of(view.title, 19.0) + 32.0)
     canvas.card((12.0, 12.0, width, 122.0), ("numbers", view.title), partial(_number_names, title=view.title))
     rows = (
@@ -66,7 +66,7 @@ def _number_names(card: Canvas, title: str) -> None:
 
 
 def _draw_legend(canvas: Canvas, camera: Camera, view: View) -> None:
-    """Top right: what the symbols mean; its arrows are as long as those in the scene."""
+    """Draw the legend in the top right corner; its arrows are as long as those in the scene."""
     speeds = math.hypot(*view.state[3:5]), math.hypot(*view.current)
     count = len(_NAMES) if speeds[1] > 0.0 else len(_NAMES) - 1
     left = float(canvas.extent[0]) - 268.0
@@ -91,7 +91,7 @@ def _legend_names(card: Canvas, count: int) -> None:
 
 
 def _draw_scale(canvas: Canvas, camera: Camera) -> None:
-    """Bottom left: the axes, a bar of a round length, and how large the vehicle is drawn."""
+    """Draw the axes, a scale bar and the enlargement of the vehicle in the bottom left corner."""
     top = float(canvas.extent[1]) - 104.0
     canvas.card((12.0, top, 276.0, 92.0), "scale", _axes)
     length = round_down(150.0 / camera.scale)
@@ -114,7 +114,7 @@ def _axes(card: Canvas) -> None:
 
 
 def _draw_forces(canvas: Canvas, view: View) -> None:
-    """Bottom right: surge force and yaw torque as bars about zero, up to their limits."""
+    """Draw surge force and yaw torque as bars between their limits in the bottom right corner."""
     left, top = float(canvas.extent[0]) - 308.0, float(canvas.extent[1]) - 128.0
     canvas.card((left, top, 296.0, 116.0), "forces")
     names = ("surge force", "N"), ("yaw torque", "N m")
@@ -133,11 +133,11 @@ def _draw_forces(canvas: Canvas, view: View) -> None:
 
 
 def round_down(length: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20 ... (and their decimals) that is not above a positive length."""
+    """Return the largest number 1, 2 or 5 times a power of ten that is not above a positive length."""
     decade = 10.0 ** math.floor(math.log10(length))
     return decade * max(factor for factor in (1.0, 2.0, 5.0) if factor * decade <= length or factor == 1.0)
 
 
 def metres(length: float) -> str:
-    """Return a length in words, in cm below 10 cm."""
+    """Return a length as text, in cm below 10 cm."""
     return f"{100.0 * length:.1f} cm" if length < 0.1 else f"{length:.2f} m"

@@ -1,4 +1,4 @@
-"""Views in, pictures out: to a window or to arrays."""
+"""The renderer: it draws views to a window or to arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from auv_gym.rendering.scene import draw_world
 
 RenderMode = Literal["human", "rgb_array"]
 READABLE = (320, 240)
-"""Width and height [px] of the smallest picture that something is written on."""
+"""Width and height [px] of the smallest picture with text."""
 SIZES = (16, 4096)
 """Least and largest width or height [px] of a picture."""
 
@@ -28,11 +28,11 @@ SIZES = (16, 4096)
 class Renderer:
     """Draws views to a window ("human") or to arrays ("rgb_array").
 
-    A picture depends only on the views drawn so far. No display is needed or touched in "rgb_array".
+    A picture depends only on the views drawn so far. "rgb_array" needs no display.
 
     Args:
         render_mode: "human" or "rgb_array".
-        fps: pictures per second [1/s] to which "human" is slowed down.
+        fps: largest frame rate of "human" [1/s].
         size: width and height of the picture [px], see `checked_size`.
 
     Raises:
@@ -61,7 +61,7 @@ class Renderer:
         """Draw one picture.
 
         Returns:
-            "rgb_array": a new uint8 array (H, W, 3). "human": None; once the window is closed nothing is drawn.
+            "rgb_array": a new uint8 array (H, W, 3). "human": None; after the window was closed nothing is drawn.
         """
         elapsed = elapsed_between(self._last, view)
         self._last = view
@@ -80,14 +80,14 @@ class Renderer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one; may be called any number of times."""
+        """Close the window, if there is one. Further calls have no effect."""
         self._closed = True
         if self._window is not None:
             self._window = None
             self._pygame.display.quit()
 
     def _open_window(self) -> bool:
-        """Open the window at first, answer its events, and say whether there still is one."""
+        """Open the window if needed, process its events, and return whether it is open."""
         if self._window is None and not self._closed:
             self._pygame.display.init()
             self._window = self._pygame.display.set_mode(self._size)
@@ -99,7 +99,11 @@ class Renderer:
 
 
 def import_pygame() -> ModuleType:
-    """Import pygame with its fonts, or say what to install."""
+    """Return pygame with its fonts.
+
+    Raises:
+        DependencyNotInstalled: pygame is missing; the message says what to install.
+    """
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*pkg_resources", module="pygame")  # pygame <= 2.6

@@ -1,4 +1,4 @@
-"""Episodes of one scenario drawn side by side, as rows: from the numbers, and in their order, that one alone takes."""
+"""Several episodes of a scenario drawn at once, as rows: the same episodes as drawn one by one by `Scenario.draw`."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from auv_gym.scenarios.scenario import DRAWS, RandomPath, Scenario
 class DrawnPaths(NamedTuple):
     """Paths of one family."""
 
-    members: Indices  # of which of the episodes, shape (n,)
-    paths: Path  # made one, see `stack`
+    members: Indices  # indices of their episodes, shape (n,)
+    paths: Path  # the paths as one, see `stack`
 
 
 class Drawing:
-    """N episodes of a scenario whose numbers are drawn, their paths first.
+    """N random episodes of a scenario: first their paths, then the rest of those that can be planned.
 
     Attributes:
-        seeds: of the episodes' noise.
-        paths: by family; none if the scenario's path is not drawn.
+        seeds: noise seeds of the episodes.
+        paths: the paths by family; empty if the path of the scenario is fixed.
     """
 
     def __init__(self, scenario: Scenario, generators: Sequence[np.random.Generator]) -> None:
-        """Draw from each of N generators what `Scenario.draw` takes."""
+        """Draw the same numbers from each of N generators as `Scenario.draw`, and make the paths."""
         n, path = len(generators), scenario.path
         self._scenario, self._numbers = scenario, np.empty((n, DRAWS))
         self.seeds = []
@@ -50,7 +50,7 @@ class Drawing:
             self._used[members], self._speed[members] = 1 + stream.used, paths.speed
 
     def episodes(self, members: Indices) -> Episode:
-        """Return some of the episodes as one whose numbers are rows (n,); its path has a speed alone, and no noise."""
+        """Return n of the episodes as one with rows (n,) as numbers, noise seed 0 and a path with a speed only."""
         first = self._used[members]
         most = DRAWS - int(first.max())
         rows = self._numbers[members[:, None], first[:, None] + np.arange(most)]
@@ -58,7 +58,7 @@ class Drawing:
         return self._scenario.episode(path, _Stream(rows.T.copy()), 0)
 
     def single(self, members: Indices) -> list[Path]:
-        """Return the paths of some of the episodes, one by one."""
+        """Return the path of each of these episodes."""
         path = self._scenario.path
         if not isinstance(path, RandomPath):
             return [path] * len(members)
@@ -69,7 +69,7 @@ class Drawing:
 
 
 class _Stream:
-    """Uniform numbers, a row for each call."""
+    """A source of uniform numbers; each call returns the next row."""
 
     def __init__(self, rows: Array) -> None:
         self._rows, self.used = rows, 0
@@ -81,13 +81,16 @@ class _Stream:
 
 
 class _Speed(NamedTuple):
-    """What the other parts of a scenario need of paths."""
+    """The part of a path that the disturbances depend on."""
 
     speed: Array
 
 
-def drawn_side_by_side(scenario: Scenario) -> bool:
-    """Return whether a scenario's episodes are made of `Scenario.episode` alone, on paths that can be one."""
+def drawn_as_rows(scenario: Scenario) -> bool:
+    """Return whether the episodes of a scenario can be drawn as rows.
+
+    That requires paths that can be stacked, and neither outages nor dead reckoning.
+    """
     names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
     alike = all(issubclass(PATHS[name], Family) for name in names)
     return alike and not scenario.sensors.outages and scenario.sensors.reckoning is None

@@ -1,4 +1,4 @@
-"""Episode: one drawn member of a scenario, and what a caller of `reset` may choose about it."""
+"""Episode: the random data of one run of a scenario, and the options of `reset`."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from auv_gym.planning.paths import Path
 
 @dataclass(frozen=True)
 class Episode:
-    """Everything that is random in one run of a scenario, and the seed of its noise."""
+    """All random data of one run of a scenario, with the seed of its noise."""
 
     path: Path
     vehicle: Vehicle  # the true one
     current: Current
     waves: Waves | None
-    bias: State  # of the measurements x, y, psi, u, v, r
+    bias: State  # biases of the measurements x, y, psi, u, v, r
     lag: float  # [s] of the actuators
     initial_error: tuple[float, float, float]  # x_e, y_e [m] in the world, psi_e [rad]
-    surge: float  # initial surge velocity as a fraction of the reference's
+    surge: float  # initial surge velocity as a fraction of that of the reference
     noise_seed: int
     initial_velocity: tuple[float, float, float] | None = None  # u, v [m/s], r [rad/s]; overrides `surge`
-    effectiveness: tuple[float, float] = (1.0, 1.0)  # share of the commanded surge force and yaw torque that acts
-    reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators really saturate
+    effectiveness: tuple[float, float] = (1.0, 1.0)  # actual over commanded surge force and yaw torque
+    reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators saturate
     delay: int = 0  # control periods until a command acts
-    outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of the times without a position fix
+    outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of each outage of position fixes
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
 
     def initial_state(self, reference: Sequence[float]) -> State:
-        """Return the first state, velocities relative to the water, for the reference's x, y, psi, u, ... there."""
+        """Return the first state, with velocities relative to the water, for the first reference x, y, psi, u, ..."""
         x_R, y_R, psi_R, u_R = reference[:4]
         x_e, y_e, psi_e = self.initial_error
         u, v, r = self.initial_velocity or (self.surge * u_R, 0.0, 0.0)
@@ -49,11 +49,11 @@ RESET_OPTIONS = {
     "initial_error": "x_e [m], y_e [m] in the world, psi_e [rad]",
     "initial_velocity": "u [m/s], v [m/s] relative to the water, r [rad/s]",
 }
-"""What `reset(options=...)` takes."""
+"""The options of `reset(options=...)`, with their meaning."""
 
 
 def checked_mapping(options: Any) -> Mapping[str, Any]:
-    """Return the options of `reset`, none for None; raise ValueError if they are no dict."""
+    """Return the options of `reset`, an empty dict for None; raise ValueError if they are not a dict."""
     if not isinstance(options, Mapping | None):
         raise ValueError(f"reset options are {options!r}; they must be a dict or None")
     return options or {}
@@ -63,7 +63,7 @@ def checked_options(options: Any) -> dict[str, Any]:
     """Return the options of `reset` with vectors as tuples of floats.
 
     Raises:
-        ValueError: they are no dict, an unknown key, or a value that is not what `RESET_OPTIONS` says.
+        ValueError: they are not a dict, a key is unknown, or a value is not as `RESET_OPTIONS` says.
     """
     checked: dict[str, Any] = {}
     for key, value in checked_mapping(options).items():
@@ -85,7 +85,7 @@ def checked_options(options: Any) -> dict[str, Any]:
 
 
 def with_options(episode: Episode, options: Mapping[str, Any]) -> Episode:
-    """Return the episode with the vectors of `checked_options` in place of its own."""
+    """Return the episode with its vectors replaced by those of `checked_options`."""
     if not options:
         return episode
     return replace(episode, **{key: value for key, value in options.items() if key != "episode"})

@@ -1,12 +1,12 @@
-/* The samples of episodes that run side by side, as `Tape._in_python` makes them: the same kernels in the same order, and
- * no equation of its own. Kernels take the number of control instants, then of each array the address and the strides of
- * all axes but the last. */
+/* The samples of several episodes, computed as in `ExogenousInputs._in_python`, by the same kernels in the same order.
+ * This file holds no equations. The first argument of a kernel holds the number of control instants, then the address
+ * and the strides of each array, except the stride of its last axis. */
 
 #include <string.h>
 
 #define AT(x) ((int64_t)(intptr_t)(x))
 
-/* NumPy's interface of a bit generator, numpy/random/bitgen.h. */
+/* The interface of NumPy's bit generators, numpy/random/bitgen.h. */
 typedef struct {
     void *state;
     uint64_t (*next_uint64)(void *);
@@ -17,7 +17,7 @@ typedef struct {
 
 typedef double (*normal)(bitgen *);
 
-/* SFC64 of C. Doty-Humphrey, as NumPy's. */
+/* The generator SFC64 of C. Doty-Humphrey, as in NumPy. */
 static inline uint64_t next(uint64_t *s)
 {
     const uint64_t x = s[0] + s[1] + s[3]++;
@@ -30,8 +30,8 @@ static inline uint64_t next(uint64_t *s)
 static uint64_t next_uint64(void *state) { return next(state); }
 static double next_double(void *state) { return (next(state) >> 11) * 0x1p-53; }
 
-/* Set the states (4) of generators as `numpy.random.SFC64(seed)` does, by M. E. O'Neill's hash of a seed. */
-void sow(long count, const uint64_t *seeds, uint64_t *states)
+/* Set the states (4) of generators as `numpy.random.SFC64(seed)` does, by the seed hash of M. E. O'Neill. */
+void seed_states(long count, const uint64_t *seeds, uint64_t *states)
 {
     for (long i = 0; i < count; i++) {
         uint32_t pool[4] = {(uint32_t)seeds[i], (uint32_t)(seeds[i] >> 32), 0, 0}, hash = 0x43b0d7e5;
@@ -62,11 +62,11 @@ void sow(long count, const uint64_t *seeds, uint64_t *states)
     }
 }
 
-/* NumPy's standard normals: a ziggurat of 256 layers, of which 99 % are done here, by tables that are read off it. */
+/* Standard normals of NumPy: a ziggurat of 256 layers. 99 % of the numbers are computed here, with its tables. */
 static double width[256];   /* of a layer, over 2^52 */
-static uint64_t inside[256]; /* below it a number of 52 bits lies inside of the layer */
+static uint64_t inside[256]; /* smaller numbers of 52 bits lie inside of the layer */
 
-static void draw(uint64_t *state, long count, double *normals, normal numpys)
+static void draw(uint64_t *state, long count, double *normals, normal numpy_normal)
 {
     uint64_t s[] = {state[0], state[1], state[2], state[3]};
     for (long i = 0; i < count; i++) {
@@ -76,55 +76,56 @@ static void draw(uint64_t *state, long count, double *normals, normal numpys)
         if (part < inside[layer]) {
             uint64_t signless;
             memcpy(&signless, &x, sizeof x);
-            signless |= (bits & 256) << 55; /* a branch would be taken every other time */
+            signless |= (bits & 256) << 55; /* without a branch, which could not be predicted */
             memcpy(&normals[i], &signless, sizeof x);
         } else {
             uint64_t before[4] = {a, b, c, d};
             bitgen generator = {before, next_uint64, NULL, next_double, next_uint64};
-            normals[i] = numpys(&generator);
+            normals[i] = numpy_normal(&generator);
             for (int j = 0; j < 4; j++) s[j] = before[j];
         }
     }
     for (int j = 0; j < 4; j++) state[j] = s[j];
 }
 
-/* A generator that gives one number, then what ends any loop, and counts what it is asked for. */
-static uint64_t given(void *state)
+/* A generator that returns one given number, then numbers that end every loop of NumPy, and counts its calls. */
+static uint64_t probe_integer(void *state)
 {
     uint64_t *s = state;
     return s[1]++ ? 0 : s[0];
 }
 
-static double asked(void *state)
+static double probe_double(void *state)
 {
     return ++((uint64_t *)state)[1] % 2 ? 0.5 : 0;
 }
 
-/* Read the tables off NumPy's normals and return whether `draw` then gives the same; else it leaves all to NumPy. */
-int learn(normal numpys)
+/* Determine the tables by calls of NumPy's function, and return whether `draw` gives its numbers. If not, the tables are
+ * cleared, so that `draw` calls NumPy for all numbers. */
+int load_tables(normal numpy_normal)
 {
     for (uint64_t layer = 0; layer < 256; layer++) {
-        uint64_t low = 0, high = (uint64_t)1 << 52; /* the first part that is not inside is from low to high */
+        uint64_t low = 0, high = (uint64_t)1 << 52; /* the first number that is not inside is between them */
         while (low < high) {
             uint64_t part = (low + high) / 2, state[2] = {part << 9 | layer, 0};
-            bitgen generator = {state, given, NULL, asked, given};
-            numpys(&generator);
+            bitgen generator = {state, probe_integer, NULL, probe_double, probe_integer};
+            numpy_normal(&generator);
             if (state[1] == 1) low = part + 1;
             else high = part;
         }
         uint64_t one[2] = {(uint64_t)1 << 9 | layer, 0};
-        bitgen generator = {one, given, NULL, asked, given};
-        width[layer] = numpys(&generator);
+        bitgen generator = {one, probe_integer, NULL, probe_double, probe_integer};
+        width[layer] = numpy_normal(&generator);
         inside[layer] = low;
     }
     uint64_t seed = 1, own[4], same[4];
-    sow(1, &seed, own);
+    seed_states(1, &seed, own);
     memcpy(same, own, sizeof own);
     for (int i = 0; i < 100000; i++) {
         double x;
-        draw(own, 1, &x, numpys);
+        draw(own, 1, &x, numpy_normal);
         bitgen generator = {same, next_uint64, NULL, next_double, next_uint64};
-        if (x != numpys(&generator) || memcmp(own, same, sizeof own)) {
+        if (x != numpy_normal(&generator) || memcmp(own, same, sizeof own)) {
             memset(inside, 0, sizeof inside);
             return 0;
         }
@@ -132,11 +133,11 @@ int learn(normal numpys)
     return 1;
 }
 
-/* Find the least speed of the references (T, 8) of some lanes. */
-void slowest(long count, const int64_t *lanes, const int64_t *entries, double *speeds)
+/* Compute the least speed of the references (T, 8) of sub-environments. */
+void least_speeds(long count, const int64_t *indices, const int64_t *entries, double *speeds)
 {
     for (long i = 0; i < count; i++) {
-        const int64_t *entry = entries + lanes[i] * ENTRIES;
+        const int64_t *entry = entries + indices[i] * ENTRIES;
         const double *velocity = (const double *)entry[TABLE] + 3;
         double least = INFINITY;
         for (long k = 0; k < entry[INSTANTS]; k++, velocity += 8) {
@@ -147,57 +148,59 @@ void slowest(long count, const int64_t *lanes, const int64_t *entries, double *s
     }
 }
 
-/* Read the next `steps` samples of `count` lanes and wind on.
+/* Write the next `steps` samples of `count` sub-environments.
  *
- * most: components of the waves of which `waves` has room
+ * most: number of wave components in the array `waves`
  * time, row: strides of `out`
- * lanes, columns: which of them, and where in `out` each of them stands
- * entries, states, gusts, weathers, waves: `Entry`, state of the generator and numbers of every lane
+ * indices, columns: index of each sub-environment, and its column in `out`
+ * entries, states, gusts, weathers, waves: `Entry`, state of the generator and numbers of all sub-environments
  * memory: (TILE * (SAMPLES + NORMALS) + NORMALS + 3) * steps numbers
- * numpys: standard normals of NumPy
+ * numpy_normal: function of standard normals of NumPy
  */
-void read_ahead(long count, long steps, long most, long time, long row, const int64_t *lanes, const int64_t *columns,
-                int64_t *entries, uint64_t *states, double *gusts, const double *weathers, const double *waves,
-                double *memory, double *out, normal numpys)
+void read_samples(long count, long steps, long most, long time, long row, const int64_t *indices,
+                  const int64_t *columns, int64_t *entries, uint64_t *states, double *gusts, const double *weathers,
+                  const double *waves, double *memory, double *out, normal numpy_normal)
 {
-    double *normals = memory + TILE * SAMPLES * steps, *turned = normals + TILE * NORMALS * steps;
-    double *instants = turned + NORMALS * steps, *swing = instants + steps;
+    double *normals = memory + TILE * SAMPLES * steps, *transposed = normals + TILE * NORMALS * steps;
+    double *instants = transposed + NORMALS * steps, *swing = instants + steps;
     for (long first = 0; first < count; first += TILE) {
         const long tile = count - first < TILE ? count - first : TILE;
-        for (long l = 0; l < tile; l++) { /* all of them at once: what draws them needs the cache */
-            const int64_t *entry = entries + lanes[first + l] * ENTRIES;
-            draw(states + 4 * lanes[first + l], (entry[END] - entry[FIRST]) * steps, normals + l * NORMALS * steps, numpys);
+        for (long l = 0; l < tile; l++) { /* a loop of its own, since the tables of `draw` fill the cache */
+            const int64_t *entry = entries + indices[first + l] * ENTRIES;
+            const long numbers = (entry[END] - entry[FIRST]) * steps;
+            draw(states + 4 * indices[first + l], numbers, normals + l * NORMALS * steps, numpy_normal);
         }
         for (long l = 0; l < tile; l++) {
-            const long lane = lanes[first + l];
-            int64_t *entry = entries + lane * ENTRIES;
+            const long index = indices[first + l];
+            int64_t *entry = entries + index * ENTRIES;
             const long next = entry[NEXT], begin = entry[FIRST], width = entry[END] - begin;
-            double *sample = memory + l * SAMPLES * steps, *gust = gusts + lane * GUST;
-            const double *weather = weathers + lane * WEATHER, *wave = waves + lane * most * WAVE;
+            double *sample = memory + l * SAMPLES * steps, *gust = gusts + index * GUST;
+            const double *weather = weathers + index * WEATHER, *wave = waves + index * most * WAVE;
 
-            if (width < NORMALS) memset(turned, 0, NORMALS * steps * sizeof(double));
+            if (width < NORMALS) memset(transposed, 0, NORMALS * steps * sizeof(double));
             for (long r = 0; r < width; r++) {
                 const double *from = normals + l * NORMALS * steps + r;
-                double *to = turned + (begin + r) * steps;
+                double *to = transposed + (begin + r) * steps;
                 for (long j = 0; j < steps; j++, from += width) to[j] = *from;
             }
             for (long j = 0; j < steps; j++) instants[j] = next + j;
             entry[NEXT] = next + steps;
 
-            const int64_t blow[] = {1, AT(gust), 1, AT(turned + GUSTS * steps), 1, steps, AT(weather), AT(swing), 1, steps};
-            gust_recursion(blow, 0, (int)steps);
+            const int64_t of_gusts[] = {1, AT(gust), 1, AT(transposed + GUSTS * steps), 1, steps, AT(weather),
+                                        AT(swing), 1, steps};
+            gust_recursion(of_gusts, 0, (int)steps);
             double *current = sample + 8 * steps, *load = current + 2 * steps, *measured = load + 3 * steps;
             memset(load, 0, 3 * steps * sizeof(double));
-            const int64_t roll[] = {steps, AT(load), steps, AT(instants), steps, AT(wave), WAVE};
-            wave_loads(roll, 0, (int)entry[WAVES]);
-            const int64_t see[] = {steps, AT(instants), steps, AT(swing), steps, AT(turned), steps, AT(weather),
-                                   AT(current), steps, AT(measured), steps};
-            current_and_noise(see, 0, 1);
-            for (long j = 0; j < steps; j++) measured[6 * steps + j] = 1; /* there is a position fix */
+            const int64_t of_waves[] = {steps, AT(load), steps, AT(instants), steps, AT(wave), WAVE};
+            wave_loads(of_waves, 0, (int)entry[WAVES]);
+            const int64_t of_rest[] = {steps, AT(instants), steps, AT(swing), steps, AT(transposed), steps, AT(weather),
+                                       AT(current), steps, AT(measured), steps};
+            current_and_noise(of_rest, 0, 1);
+            for (long j = 0; j < steps; j++) measured[6 * steps + j] = 1; /* a position fix */
         }
-        for (long j = 0; j < steps; j++) /* the reference; behind its last instant that stays */
+        for (long j = 0; j < steps; j++) /* the reference; its last instant is repeated */
             for (long l = 0; l < tile; l++) {
-                const int64_t *entry = entries + lanes[first + l] * ENTRIES;
+                const int64_t *entry = entries + indices[first + l] * ENTRIES;
                 const long k = entry[NEXT] - steps + j, last = entry[INSTANTS] - 1;
                 const double *from = (const double *)entry[TABLE] + 8 * (k < last ? k : last);
                 double *to = out + j * time + columns[first + l];

@@ -1,7 +1,7 @@
-"""The tape: all that the outside supplies to running episodes, drawn ahead in blocks of control steps.
+"""The exogenous inputs of episodes, drawn ahead in blocks of control steps.
 
-Randomness enters the simulation here and nowhere else, so a step itself is deterministic. Each episode owns a
-generator, `numpy.random.SFC64` of its noise's seed, and the numbers do not depend on how its tape is cut into blocks.
+All random numbers of the simulation are drawn here, so a step is deterministic. Each episode has its own generator,
+`numpy.random.SFC64` of its noise seed. Its samples do not depend on the sizes of the blocks.
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS
 
-TILE = 16  # lanes whose samples are written together: whole cache lines of the result
-NORMALS = 8  # standard normals of a control step
-MEASUREMENT_NORMALS = slice(0, 6)  # those of the normals that become errors of the six measurements
-GUSTS = slice(6, 8)  # those of the normals that drive the gusts
-SEA = slice(REFERENCE.stop, SAMPLE_ROWS)  # the part of a sample that is no reference
+TILE = 16  # sub-environments whose samples are written together, which fills cache lines of the result
+NORMALS = 8  # number of standard normals of a control step
+MEASUREMENT_NORMALS = slice(0, 6)  # normals of the errors of the six measurements
+GUSTS = slice(6, 8)  # normals of the gusts
 
 
 class Errors(NamedTuple):
@@ -46,61 +45,60 @@ class Errors(NamedTuple):
 
 
 class Weather(NamedTuple):
-    """What an episode's samples depend on besides chance, plan and waves: floats, or rows of shape (N,)."""
+    """The constants of the current and the measurement errors of an episode: floats, or rows of shape (N,)."""
 
     V_x: Number  # [m/s] mean current
     V_y: Number  # [m/s]
-    turn: Number  # [rad] by which it turns in a control step
-    sigma: Number  # [m/s] of the gusts
+    turn: Number  # [rad] rotation of the mean current per control step
+    sigma: Number  # [m/s] standard deviation of the gusts
     cap: Number  # [m/s] largest speed of the current
-    a: Number  # what is left of the process behind the gusts after a control step
-    excitation: Number  # what a standard normal adds to it, sqrt(1 - a^2)
-    b: Number  # what is left of the filter behind it
+    a: Number  # decay of the process of the gusts per control step
+    excitation: Number  # gain of its standard normals, sqrt(1 - a^2)
+    b: Number  # decay of the filter of the gusts per control step
     noise: Errors  # standard deviations of the measurements
-    bias: Errors  # of the measurements
+    bias: Errors  # biases of the measurements
 
 
 class Gust(NamedTuple):
-    """Where the gusts are, in units of sigma: floats, or rows of shape (N,)."""
+    """The state of the gusts in units of sigma: floats, or rows of shape (N,)."""
 
-    k: Number  # control instants so far
+    k: Number  # number of control instants so far
     n_x: Number  # the process
     n_y: Number
-    s_x: Number  # the filter behind it
+    s_x: Number  # its filter
     s_y: Number
 
 
-WEATHER = numbered(Weather)  # the place of every number of a `Weather` in the row of them
-_GUST = numbered(Gust)  # the place of every number of a `Gust` in the row of them
-WEATHER_ROWS = len(leaves(WEATHER))  # how many numbers a `Weather` has
-GUST_ROWS = len(_GUST)  # how many numbers a `Gust` has
+WEATHER = numbered(Weather)  # index of each number of a `Weather`
+WEATHER_ROWS = len(leaves(WEATHER))  # number of rows of a `Weather`
+GUST_ROWS = len(Gust._fields)  # number of rows of a `Gust`
 WAVE_ROWS = 7
-"""Numbers of a wave component: its angle in a control step [rad], and for each axis what multiplies the sine and the
-cosine of the angle so far [N], [N], [N m]."""
+"""Numbers of a wave component: its angle per control step [rad], then for each axis the amplitudes of sine and cosine
+[N], [N], [N m]."""
 
 
 class Entry(NamedTuple):
-    """What compiled code finds of a lane besides its numbers; integers."""
+    """The integers of a sub-environment for compiled code."""
 
-    table: Any  # address of the reference's table
-    instants: Any  # control instants of the reference
-    next: Any  # the coming one
-    first: Any  # of the normals that are used, of which there are none if `end` is the same
-    end: Any
-    waves: Any  # components
+    table: Any  # address of the reference table
+    instants: Any  # number of control instants of the reference
+    next: Any  # next control instant
+    first: Any  # first of the normals in use
+    end: Any  # end of the normals in use; there are none if it equals `first`
+    waves: Any  # number of wave components
 
 
-_ENTRY = numbered(Entry)  # the place of every number of an `Entry`
+_ENTRY = numbered(Entry)  # index of each number of an `Entry`
 
 
 def next_gust(gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace) -> Gust:
-    """Return the gusts at a control instant, for those at the one before it.
+    """Return the state of the gusts at a control instant, for that at the previous instant.
 
-    The gust on each axis is an Ornstein-Uhlenbeck process n behind a first-order filter s, see `disturbances.Current`:
+    The gust on each axis is an Ornstein-Uhlenbeck process n with a first-order filter s, see `disturbances.Current`:
     n_k = a n_(k-1) + sqrt(1 - a^2) w_k,  s_k = b s_(k-1) + (1 - b) n_k,  starting from n_0 = s_0 = w_0.
 
     Args:
-        gust: the state.
+        gust: the previous state.
         normals: w_k of both axes.
         w: the constants.
         ns: the namespace of the numbers.
@@ -115,7 +113,10 @@ def next_gust(gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace) 
 
 
 def gusty_current(k: Number, swing: Sequence[Number], w: Weather, ns: Namespace) -> tuple[Number, Number]:
-    """Return the current [m/s] at control instant k: mean and gust, s of both axes, together cut off at the cap."""
+    """Return the current [m/s] at control instant k: mean plus gust, with a speed of at most the cap.
+
+    `swing` is s of both axes, see `next_gust`.
+    """
     angle = w.turn * k
     V_x, V_y = to_world(w.V_x, w.V_y, ns.cos(angle), ns.sin(angle))
     V_x, V_y = V_x + w.sigma * swing[0], V_y + w.sigma * swing[1]
@@ -125,13 +126,13 @@ def gusty_current(k: Number, swing: Sequence[Number], w: Weather, ns: Namespace)
 
 
 def with_wave(load: Sequence[Number], k: Number, component: Sequence[Number], ns: Namespace) -> list[Number]:
-    """Return forces X, Y [N] and N [N m] at control instant k with one more component of the waves.
+    """Return forces X, Y [N] and N [N m] at control instant k after the addition of a wave component.
 
-    The addition theorem makes one sine and one cosine serve all axes; a component has `WAVE_ROWS` numbers.
+    By the addition theorem all axes use the same sine and cosine. A component has `WAVE_ROWS` numbers.
     """
-    angle, *parts = component
+    angle, *amplitudes = component
     s, c = ns.sin(angle * k), ns.cos(angle * k)
-    return [total + (p * s + q * c) for total, p, q in zip(load, parts[::2], parts[1::2], strict=True)]
+    return [total + (p * s + q * c) for total, p, q in zip(load, amplitudes[::2], amplitudes[1::2], strict=True)]
 
 
 def wave_load(k: Number, components: Sequence[Sequence[Number]], ns: Namespace) -> tuple[Number, Number, Number]:
@@ -150,9 +151,10 @@ def measurement_errors(normals: Sequence[Number], w: Weather) -> list[Number]:
 
 @cache
 def kernels() -> Mapping[str, Kernel]:
-    """Return what makes the samples of one lane, by the names that exogenous.c calls them by.
+    """Return the kernels of the samples of one sub-environment by the names of their functions in exogenous.c.
 
-    The gusts go from instant to instant. The lanes of the others are the instants, and the waves' steps the components.
+    A step of `gust_recursion` is a control instant, a step of `wave_loads` a wave component. The columns of
+    `wave_loads` and `current_and_noise` are the control instants.
     """
 
     def gust_recursion(gust: Any, normals: Any, weather: Any) -> dict[str, Any]:
@@ -180,208 +182,216 @@ def kernels() -> Mapping[str, Kernel]:
 
 
 class Compiled(NamedTuple):
-    """What exogenous.c does."""
+    """The functions of exogenous.c."""
 
-    sow: Callable[..., None]
-    slowest: Callable[..., None]
-    read_ahead: Callable[..., None]
-    normal: Any  # address of NumPy's standard normals
+    seed_states: Callable[..., None]
+    least_speeds: Callable[..., None]
+    read_samples: Callable[..., None]
+    normal: Any  # address of NumPy's function of standard normals
 
 
 @cache
 def compiled(many: bool = True) -> Compiled | None:
-    """Return what exogenous.c does, to be fast for `many` lanes or compiled in half the time; None if it cannot be."""
+    """Return the functions of exogenous.c, or None if they cannot be compiled.
+
+    With `many` they are fast for several sub-environments, and their compilation takes twice the time.
+    """
     try:
         normal = ctypes.CDLL(np.random._generator.__file__).random_standard_normal
-    except (OSError, AttributeError):  # NumPy was built in another way
+    except (OSError, AttributeError):  # this build of NumPy does not export the function
         return None
     sizes = {"SAMPLES": SAMPLE_ROWS, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
     sizes |= {"WEATHER": WEATHER_ROWS, "WAVE": WAVE_ROWS, "ENTRIES": len(_ENTRY)}
-    sizes |= {name.upper(): place for name, place in _ENTRY._asdict().items()}
+    sizes |= {name.upper(): index for name, index in _ENTRY._asdict().items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     library = together(kernels(), head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8"), many=many)
     if library is None:
         return None
-    pointer, whole = ctypes.c_void_p, ctypes.c_long
-    library.sow.argtypes, library.sow.restype = [whole] + [pointer] * 2, None
-    library.slowest.argtypes, library.slowest.restype = [whole] + [pointer] * 3, None
-    library.read_ahead.argtypes, library.read_ahead.restype = [whole] * 5 + [pointer] * 10, None
+    pointer, integer = ctypes.c_void_p, ctypes.c_long
+    functions = library.seed_states, library.least_speeds, library.read_samples
+    for function, integers, pointers in zip(functions, (1, 1, 5), (2, 3, 10), strict=True):
+        function.argtypes, function.restype = [integer] * integers + [pointer] * pointers, None
     address = ctypes.cast(normal, pointer)
-    library.learn(address)
-    return Compiled(library.sow, library.slowest, library.read_ahead, address)
+    library.load_tables(address)
+    return Compiled(*functions, address)
 
 
-class Tape:
-    """The samples (`simulation.Sample`) of episodes that run side by side, each in its own lane."""
+class ExogenousInputs:
+    """The samples (`simulation.Sample`) of the episodes of N sub-environments."""
 
-    def __init__(self, lanes: int, block: int) -> None:
-        """Make a tape of that many empty lanes, to be read in up to `block` control steps at once."""
-        self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # that compiled code works in
-        nothing: Array = np.zeros((1, REFERENCE.stop))
-        self._tables = [nothing] * lanes
-        self._states = np.zeros((lanes, 4), dtype=np.uint64)  # of their generators, which are of the type SFC64
-        self._entries = np.tile(np.array(Entry(_address(nothing), 1, 0, 0, 0, 0), dtype=np.int64), (lanes, 1))
-        self._fixes: dict[int, Array] = {}  # of the lanes that lack some
-        self._headings: dict[int, Array] = {}  # errors [rad] of a gyro that drifts, of the lanes that have one
-        self._gust, self._weather = np.zeros((lanes, GUST_ROWS)), np.zeros((lanes, WEATHER_ROWS))
-        self._waves = np.zeros((lanes, 0, WAVE_ROWS))
+    def __init__(self, num_envs: int, block: int) -> None:
+        """Allocate memory for `num_envs` sub-environments, and for reading up to `block` control steps at once."""
+        self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # for compiled code
+        empty: Array = np.zeros((1, REFERENCE.stop))
+        self._tables = [empty] * num_envs
+        self._states = np.zeros((num_envs, 4), dtype=np.uint64)  # of the generators SFC64
+        self._entries = np.tile(np.array(Entry(_address(empty), 1, 0, 0, 0, 0), dtype=np.int64), (num_envs, 1))
+        self._fixes: dict[int, Array] = {}  # of the sub-environments with outages or dead reckoning
+        self._headings: dict[int, Array] = {}  # [rad] errors of the sub-environments with a gyro drift
+        self._gust, self._weather = np.zeros((num_envs, GUST_ROWS)), np.zeros((num_envs, WEATHER_ROWS))
+        self._waves = np.zeros((num_envs, 0, WAVE_ROWS))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but addresses."""
+        """Return all attributes except addresses."""
         return {key: value for key, value in self.__dict__.items() if key != "_arrays"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take everything up, at new addresses."""
+        """Set all attributes; addresses are determined again."""
         self.__dict__.update(state)
-        for lane in range(len(self._tables)):
-            self._locate(lane)
+        for index in range(len(self._tables)):
+            self._set_address(index)
 
     @property
     def _code(self) -> Compiled | None:
         return compiled(many=len(self._tables) > 1)
 
-    def _locate(self, lane: int) -> None:
-        """Note where the table of a lane is."""
-        self._entries[lane, _ENTRY.table] = _address(self._tables[lane])
+    def _set_address(self, index: int) -> None:
+        """Store the address of the reference table of a sub-environment."""
+        self._entries[index, _ENTRY.table] = _address(self._tables[index])
 
     @cached_property
     def _arrays(self) -> list[int]:
-        """Where the numbers of all lanes are."""
+        """Addresses of the arrays for compiled code."""
         return [
             _address(a) for a in (self._entries, self._states, self._gust, self._weather, self._waves, self._memory)
         ]
 
-    def load(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
-        """Wind a new episode into a lane; `table` is its `Reference.table`, one row per control instant."""
-        self.load_rows(np.array([lane]), scenario, episode, [table], [episode.noise_seed])
+    def load(self, index: int, scenario: Scenario, episode: Episode, table: Array) -> None:
+        """Load an episode into a sub-environment; `table` is its `Reference.table`, one row per control instant."""
+        self.load_rows(np.array([index]), scenario, episode, [table], [episode.noise_seed])
 
     def load_rows(
         self,
-        lanes: Indices,
+        indices: Indices,
         scenario: Scenario,
         episodes: Episode,
         tables: Sequence[Array],
         noise_seeds: Sequence[int],
     ) -> None:
-        """Wind new episodes of a scenario into n lanes.
+        """Load episodes of a scenario into n sub-environments.
 
         Args:
-            lanes: which of them, shape (n,).
-            scenario: of the episodes.
-            episodes: one whose numbers are rows (n,) and who always has a position fix, or a single one.
-            tables: of their references, see `load`.
-            noise_seeds: of the episodes.
+            indices: of the sub-environments, shape (n,).
+            scenario: the scenario of the episodes.
+            episodes: n episodes as one whose numbers are rows (n,), with a position fix in each control step; or a
+                single episode.
+            tables: their reference tables, see `load`.
+            noise_seeds: their noise seeds.
         """
         noise, current, dt = scenario.sensors.noise, episodes.current, scenario.control_dt
         first = MEASUREMENT_NORMALS.start if any(noise) else GUSTS.start
         end = GUSTS.stop if np.any(current.gust) else MEASUREMENT_NORMALS.stop
         if first < end:
-            self._states[lanes] = _states_of(noise_seeds, self._code)
-        for lane, table in zip(lanes.tolist(), tables, strict=True):
-            self._tables[lane] = np.ascontiguousarray(table, dtype=np.float64)
-            self._locate(lane)
-            self._fixes.pop(lane, None)
-            self._headings.pop(lane, None)
+            self._states[indices] = _states_of(noise_seeds, self._code)
+        for index, table in zip(indices.tolist(), tables, strict=True):
+            self._tables[index] = np.ascontiguousarray(table, dtype=np.float64)
+            self._set_address(index)
+            self._fixes.pop(index, None)
+            self._headings.pop(index, None)
         waves = wave_components(episodes.waves, dt)
-        self._entries[lanes, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
-        slowest = self._least_speed(lanes) if math.isfinite(current.cap) else 0.0
+        self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
+        slowest = self._least_speed(indices) if math.isfinite(current.cap) else 0.0
         weather = weather_of(current, dt, slowest, Errors(*noise), Errors(*episodes.bias))
-        self._weather[lanes] = spread(leaves(weather), len(lanes)).T
+        self._weather[indices] = spread(leaves(weather), len(indices)).T
         if (more := len(waves) - self._waves.shape[1]) > 0:
             self._waves = np.pad(self._waves, ((0, 0), (0, more), (0, 0)))
             self.__dict__.pop("_arrays", None)
-        self._waves[lanes, : len(waves)] = waves if waves.ndim == 2 else waves.transpose(2, 0, 1)
-        self._gust[lanes] = 0.0
+        self._waves[indices, : len(waves)] = waves if waves.ndim == 2 else waves.transpose(2, 0, 1)
+        self._gust[indices] = 0.0
         if episodes.outages or episodes.reckoning:
-            self._navigate(int(lanes[0]), scenario, episodes, tables[0])
+            self._load_navigation(int(indices[0]), scenario, episodes, tables[0])
 
-    def _least_speed(self, lanes: Indices) -> Any:
-        """Return the least speed [m/s] of the references of lanes, a row; of a single one, a number."""
+    def _least_speed(self, indices: Indices) -> Any:
+        """Return the `least_speed` of the references of sub-environments."""
         if (code := self._code) is None:
-            return least_speed([self._tables[lane] for lane in lanes.tolist()])
-        own, speeds = np.ascontiguousarray(lanes, dtype=np.int64), np.empty(len(lanes))
-        code.slowest(len(own), _address(own), self._arrays[0], _address(speeds))
-        return speeds if len(lanes) > 1 else float(speeds[0])
+            return least_speed([self._tables[index] for index in indices.tolist()])
+        own, speeds = np.ascontiguousarray(indices, dtype=np.int64), np.empty(len(indices))
+        code.least_speeds(len(own), _address(own), self._arrays[0], _address(speeds))
+        return speeds if len(indices) > 1 else float(speeds[0])
 
-    def _navigate(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
-        """Wind in which position fixes an episode has, and how its gyro drifts."""
+    def _load_navigation(self, index: int, scenario: Scenario, episode: Episode, table: Array) -> None:
+        """Load the position fixes of an episode and the heading errors of its gyro."""
         sensors, reckoning, dt = scenario.sensors, episode.reckoning, scenario.control_dt
         if episode.outages or reckoning:
-            self._fixes[lane] = _fixes(episode.outages, dt, len(table))
+            self._fixes[index] = _fixes(episode.outages, dt, len(table))
         if reckoning and sensors.reckoning:
             fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
-            self._fixes[lane] = _shares(self._fixes[lane], reckoning, fix_filter, dt, table)
+            self._fixes[index] = _fix_gains(self._fixes[index], reckoning, fix_filter, dt, table)
             walk = sensors.reckoning.walk
-            self._headings[lane] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
+            self._headings[index] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
 
-    def read(self, lanes: Sequence[int] | Indices, n: int) -> Array:
-        """Return the next n samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
+    def read(self, indices: Sequence[int] | Indices, n: int) -> Array:
+        """Return the next n samples of sub-environments, shape (n, SAMPLE_ROWS, len(indices)).
 
-        Behind an episode's last instant a lane repeats its last reference.
+        After the last instant of an episode the last reference is repeated.
         """
-        out = np.empty((n, SAMPLE_ROWS, len(lanes)))
-        self.read_into(out, np.asarray(lanes), np.arange(len(lanes)))
+        out = np.empty((n, SAMPLE_ROWS, len(indices)))
+        self.read_into(out, np.asarray(indices), np.arange(len(indices)))
         return out
 
-    def read_into(self, out: Array, lanes: Indices, columns: Indices) -> None:
-        """Write the next samples of lanes to columns of an array (T, SAMPLE_ROWS, N), T <= block; see `read`."""
+    def read_into(self, out: Array, indices: Indices, columns: Indices) -> None:
+        """Write the next T samples of sub-environments to columns of an array (T, SAMPLE_ROWS, N), see `read`.
+
+        Raises:
+            ValueError: T is larger than `block`.
+        """
         if (n := len(out)) > self._memory.shape[1]:
-            raise ValueError(f"{n} samples are asked for; at most {self._memory.shape[1]} are read at once")
-        lanes, columns = (np.ascontiguousarray(places, dtype=np.int64) for places in (lanes, columns))
+            raise ValueError(f"{n} samples are requested; at most {self._memory.shape[1]} can be read at once")
+        indices, columns = (np.ascontiguousarray(a, dtype=np.int64) for a in (indices, columns))
         if (code := self._code) is None:
-            self._in_python(out, lanes, columns)
+            self._in_python(out, indices, columns)
         else:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
-            sizes = len(lanes), n, self._waves.shape[1], time, row
-            code.read_ahead(*sizes, _address(lanes), _address(columns), *self._arrays, _address(out), code.normal)
+            sizes = len(indices), n, self._waves.shape[1], time, row
+            code.read_samples(*sizes, _address(indices), _address(columns), *self._arrays, _address(out), code.normal)
         if self._fixes:
-            ends = self._entries[lanes, _ENTRY.next].tolist()
-            for end, lane, column in zip(ends, lanes.tolist(), columns.tolist(), strict=True):
+            ends = self._entries[indices, _ENTRY.next].tolist()
+            for end, index, column in zip(ends, indices.tolist(), columns.tolist(), strict=True):
                 now = slice(end - n, end)
-                if lane in self._fixes:
-                    part = self._fixes[lane][now]
+                if index in self._fixes:
+                    part = self._fixes[index][now]
                     out[: len(part), SAMPLE.fix, column] = part
-                if lane in self._headings:
-                    part = self._headings[lane][now]
+                if index in self._headings:
+                    part = self._headings[index][now]
                     out[: len(part), SAMPLE.n_psi, column] += part
 
-    def _in_python(self, out: Array, lanes: Indices, columns: Indices) -> None:
-        """Do what the compiled reader does, from the same kernels."""
+    def _in_python(self, out: Array, indices: Indices, columns: Indices) -> None:
+        """Write the samples of `read_into` by the same kernels as `read_samples` of exogenous.c."""
         run, n = kernels(), len(out)
-        for lane, column in zip(lanes.tolist(), columns.tolist(), strict=True):
-            entry, weather = Entry(*self._entries[lane].tolist()), self._weather[lane]
-            time, waves = np.arange(entry.next, entry.next + n), self._waves[lane, : entry.waves]
+        for index, column in zip(indices.tolist(), columns.tolist(), strict=True):
+            entry, weather = Entry(*self._entries[index].tolist()), self._weather[index]
+            time, waves = np.arange(entry.next, entry.next + n), self._waves[index, : entry.waves]
             normals = np.zeros((n, NORMALS))
             if entry.first < entry.end:
-                normals[:, entry.first : entry.end] = _drawn(self._states[lane], n, entry.end - entry.first)
-            driven, noise = normals[:, GUSTS, None], normals[:, MEASUREMENT_NORMALS].T
-            gust = run["gust_recursion"](n, gust=self._gust[lane, :, None], normals=driven, weather=weather)
-            self._gust[lane], swing = gust["gust"][:, 0], gust["swing"][:, :, 0].T
+                normals[:, entry.first : entry.end] = _drawn(self._states[index], n, entry.end - entry.first)
+            gusts, noise = normals[:, GUSTS, None], normals[:, MEASUREMENT_NORMALS].T
+            gust = run["gust_recursion"](n, gust=self._gust[index, :, None], normals=gusts, weather=weather)
+            self._gust[index], swing = gust["gust"][:, 0], gust["swing"][:, :, 0].T
             load = run["wave_loads"](entry.waves, load=np.zeros((3, n)), instant=time[None], waves=waves)["load"]
-            sea = run["current_and_noise"](instant=time[None], swing=swing, normals=noise, weather=weather)
-            out[:, REFERENCE, column] = self._tables[lane][np.minimum(time, entry.instants - 1)]
-            for part, rows in ((CURRENT, sea["current"]), (LOAD, load), (NOISE, sea["measured"])):
+            rest = run["current_and_noise"](instant=time[None], swing=swing, normals=noise, weather=weather)
+            out[:, REFERENCE, column] = self._tables[index][np.minimum(time, entry.instants - 1)]
+            for part, rows in ((CURRENT, rest["current"]), (LOAD, load), (NOISE, rest["measured"])):
                 out[:, part, column] = rows.T
             out[:, SAMPLE.fix, column] = 1.0
-        self._entries[lanes, _ENTRY.next] += n
+        self._entries[indices, _ENTRY.next] += n
 
 
 def _address(array: AnyArray) -> int:
-    address: int = array.__array_interface__["data"][0]  # half the cost of `array.ctypes`
+    address: int = array.__array_interface__["data"][0]  # takes half the time of `array.ctypes`
     return address
 
 
 def _states_of(seeds: Sequence[int], code: Compiled | None) -> NDArray[np.uint64]:
-    """Return the states of the generators SFC64 of some seeds, shape (n, 4)."""
+    """Return the states of the generators SFC64 for n seeds, shape (n, 4)."""
     if code is None or max(seeds) >= 2**64:
         return np.array([np.random.SFC64(seed).state["state"]["state"] for seed in seeds])
     given, states = np.array(seeds, dtype=np.uint64), np.empty((len(seeds), 4), dtype=np.uint64)
-    code.sow(len(seeds), _address(given), _address(states))
+    code.seed_states(len(seeds), _address(given), _address(states))
     return states
 
 
 def _drawn(state: NDArray[np.uint64], n: int, width: int) -> Array:
-    """Return the next standard normals of a generator, shape (n, width), and take its state along."""
+    """Return the next standard normals of a generator, shape (n, width), and update its state."""
     bits = np.random.SFC64()
     bits.state = {"bit_generator": "SFC64", "state": {"state": state}, "has_uint32": 0, "uinteger": 0}
     normals = np.random.Generator(bits).standard_normal((n, width))
@@ -390,7 +400,7 @@ def _drawn(state: NDArray[np.uint64], n: int, width: int) -> Array:
 
 
 def least_speed(tables: Sequence[Array]) -> Any:
-    """Return the least speed [m/s] of each reference table, a row; of one, a number."""
+    """Return the least speed [m/s] of each reference table, a row; a number for a single table."""
     speeds = [math.sqrt((table[:, SAMPLE.u_R] ** 2 + table[:, SAMPLE.v_R] ** 2).min()) for table in tables]
     return np.array(speeds) if len(speeds) > 1 else speeds[0]
 
@@ -405,33 +415,33 @@ def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> 
     return fixes
 
 
-def _shares(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: float, table: Array) -> Array:
-    """Return which share of a position fix is taken on at each control instant: all of the first one, often none.
+def _fix_gains(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: float, table: Array) -> Array:
+    """Return the gain of the position fix at each control instant: 1 at the first instant, 0 without a fix.
 
     Args:
-        fixes: 1 for each control instant at which a fix does not fail, else 0.
-        reckoning: of the episode.
-        fix_filter: of its sensors.
+        fixes: 0 for each control instant in an outage, else 1.
+        reckoning: the dead reckoning of the episode.
+        fix_filter: the filter of its sensors.
         dt: control period [s].
-        table: of its reference, shape (T, 8): how far it goes between fixes is what the filter reckons with.
+        table: its reference table, shape (T, 8); the filter uses the distances between fixes.
     """
     instants = np.unique(np.ceil(np.array(reckoning.fixes) / dt - 1e-9).astype(int))
     used = [0, *(k for k in instants.tolist() if 0 < k < len(table) and fixes[k])]
-    way = np.concatenate(([0.0], dt * np.cumsum(np.hypot(table[1:, SAMPLE.u_R], table[1:, SAMPLE.v_R]))))
-    shares = np.zeros(len(table))
-    shares[used] = [1.0, *fix_filter.gains(np.diff(way[used]).tolist(), (dt * np.diff(used)).tolist())]
-    return shares
+    distance = np.concatenate(([0.0], dt * np.cumsum(np.hypot(table[1:, SAMPLE.u_R], table[1:, SAMPLE.v_R]))))
+    gains = np.zeros(len(table))
+    gains[used] = [1.0, *fix_filter.gains(np.diff(distance[used]).tolist(), (dt * np.diff(used)).tolist())]
+    return gains
 
 
 def weather_of(current: Current, dt: float, slowest: Number, noise: Errors, bias: Errors) -> Weather:
-    """Return the constants of an episode's tape.
+    """Return the constants of the current and the measurement errors of an episode.
 
     Args:
-        current: of the episode.
+        current: the current of the episode.
         dt: control period [s].
-        slowest: least speed [m/s] of its reference, of which the cap is a share.
+        slowest: least speed of its reference [m/s]; the cap of the current is a fraction of it.
         noise: standard deviations of the measurements.
-        bias: of the measurements.
+        bias: biases of the measurements.
     """
     a = math.exp(-dt / current.gust_time)
     b = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
@@ -441,9 +451,9 @@ def weather_of(current: Current, dt: float, slowest: Number, noise: Errors, bias
 
 
 def wave_components(waves: Waves | None, dt: float) -> Array:
-    """Return the `WAVE_ROWS` numbers of each component for a control period dt [s], a row each; none without waves.
+    """Return the numbers of the wave components, shape (components, WAVE_ROWS), for a control period dt [s].
 
-    Of N episodes it is an array (components, WAVE_ROWS, N).
+    The shape is (components, WAVE_ROWS, N) for N episodes. Without waves there are no components.
     """
     if waves is None:
         return np.zeros((0, WAVE_ROWS))

@@ -1,8 +1,8 @@
-"""A scenario for another vehicle: fitted to it by dimensional analysis, or seen in the vehicle's own units.
+"""Scenarios of other vehicles: a scenario adapted by dimensional analysis, or converted to the units of its vehicle.
 
-A scenario is made for the paper's vehicle. For another one its lengths are multiplied by a factor of length, times by
-one of time, speeds by their quotient, forces by the ratio of drags or of actuator limits. Quantities without a
-dimension stay. For the paper's vehicle every factor is 1.
+The presets are made for the vehicle of the paper. For another vehicle lengths are multiplied by a factor of length,
+times by one of time, speeds by their quotient, and forces by the ratio of drags or of actuator limits. Dimensionless
+quantities do not change. For the vehicle of the paper all factors are 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle, as_vehic
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
-"""Largest number of integration steps in a control period that is tried for a vehicle."""
+"""Largest number of integration steps per control period that is tried for a vehicle."""
 
 
 def changed(
@@ -33,16 +33,16 @@ def changed(
 ) -> Scenario:
     """Return a scenario with another known vehicle or control period.
 
-    A vehicle with a file of its own brings its limits, speeds and clock, see `adapted`; a `Vehicle` or its dict changes
-    nothing else. With another control period the duration stays the same.
+    A vehicle model or a vehicle file also changes actuators, speeds and times, see `adapted`; a `Vehicle` or a dict of
+    its parameters changes nothing else. Another control period does not change the duration.
 
     Args:
         scenario: the original.
-        vehicle: an object, a dict, a name of `list_vehicles`, or a file; None keeps the scenario's vehicle.
-        control_dt: control period [s]; None keeps the scenario's.
+        vehicle: an object, a dict, a name of `list_vehicles`, or a file; None for that of the scenario.
+        control_dt: control period [s]; None for that of the scenario.
 
     Raises:
-        ValueError: the vehicle is unknown, or the period is no number or longer than the episode.
+        ValueError: the vehicle is unknown, or the period is not a number or longer than the episode.
     """
     if (vehicle_model := as_vehicle_model(vehicle)) is not None:
         scenario = replace(adapted(vehicle_model, scenario), name=f"{scenario.name}@{vehicle_model.name}")
@@ -55,17 +55,17 @@ def changed(
 
 
 def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
-    """Return a scenario of the paper's vehicle as one of another vehicle; a path that is not drawn stays as it is.
+    """Return a scenario for another vehicle, for one for the vehicle of the paper; a fixed path does not change.
 
     Raises:
-        ValueError: paths are slower than its fins can steer it, or no integration step is short enough for it.
+        ValueError: paths are too slow for the fins of the vehicle, or no integration step is short enough.
     """
     return _Fit(vehicle_model).scenario(scenario)
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """The factors between the paper's vehicle and another one, and what they make of the parts of a scenario."""
+    """The conversion of a scenario from the vehicle of the paper to another vehicle."""
 
     vehicle_model: VehicleModel
 
@@ -76,7 +76,7 @@ class _Fit:
     def scenario(self, scenario: Scenario) -> Scenario:
         length, time = self.units.length, self.units.time
         parts = "path", "start", "sensors", "current", "waves"
-        changes = {name: self.part(name, getattr(scenario, name)) for name in parts}
+        changes = {name: scaled_part(name, getattr(scenario, name), self.units) for name in parts}
         path: Any = changes["path"]
         if not isinstance(path, Path):
             path = replace(path, turn_rate=path.turn_rate * self.turn_rate)
@@ -93,13 +93,9 @@ class _Fit:
             **changes,
         )
 
-    def part(self, name: str, part: Any) -> Any:
-        """Return a part of a scenario with its entries scaled by their dimensions."""
-        return scaled_part(name, part, self.units)
-
     @property
     def turn_rate(self) -> float:
-        """The factor of turn rates: one over time, or what the vehicle asks for."""
+        """The factor of turn rates: one over time, or that of the turn rate of the vehicle model."""
         own = self.vehicle_model.turn_rate
         return self.units.factor(time=-1) if own is None else own / 0.12
 
@@ -107,17 +103,17 @@ class _Fit:
         low = speed[0] if isinstance(speed, tuple) else speed
         if low < self.vehicle_model.slowest * (1 - 1e-9):
             raise ValueError(
-                f"scenario {name!r} asks for {low:.3g} m/s of this vehicle, whose fins steer it from "
-                f"{self.vehicle_model.slowest:g} m/s on; take a faster one, as those of the cruise regime"
+                f"scenario {name!r} has speeds from {low:.3g} m/s, but the fins of this vehicle need at least "
+                f"{self.vehicle_model.slowest:g} m/s; take a faster scenario, such as those of the range cruise"
             )
 
     def drag(self, top: float) -> tuple[float, float, float]:
-        """Return the factors of the drag per velocity at the fastest speed [m/s] of a path."""
+        """Return the ratios of the drag per velocity to that of the paper, at the largest speed [m/s] of a path."""
         mine, paper = self.vehicle_model.drag(top), PAPER.drag(0.0)
         return mine[0] / paper[0], mine[1] / paper[1], mine[2] / paper[2]
 
     def waves(self, waves: RandomWaves | None, top: float) -> RandomWaves | None:
-        """Return waves whose forces are the same share of the drag, quadratic drag and lift included."""
+        """Return waves with the same ratio of forces to drag, including quadratic drag and lift."""
         if waves is None:
             return None
         v, (d_u, d_v, d_r) = self.vehicle_model.vehicle, self.vehicle_model.drag(top)
@@ -125,7 +121,7 @@ class _Fit:
         return replace(waves, surge=waves.surge * d_u / v.d11, sway=waves.sway * d_v / v.d22, yaw=yaw)
 
     def mismatch(self, mismatch: RandomMismatch | None, top: float) -> RandomMismatch | None:
-        """Return a mismatch that adds the same share of the drag as quadratic drag."""
+        """Return a mismatch with the same ratio of quadratic drag to drag."""
         if mismatch is None:
             return None
         shares = zip(mismatch.quadratic_drag, self.drag(top), ((1, -1), (1, -1), (0, -1)), strict=True)
@@ -133,7 +129,7 @@ class _Fit:
         return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
 
     def actuators(self, given: Actuators) -> Actuators:
-        """Return actuators with the same share of the vehicle's own limits, and of its own lag."""
+        """Return actuators with the same ratios to the limits and the lag of the vehicle."""
         own, time = self.vehicle_model.actuators, self.units.time
         force, torque = (own.F_u_max / PAPER.actuators.F_u_max, own.F_r_max / PAPER.actuators.F_r_max)
         slow = time if self.vehicle_model.lag is None else self.vehicle_model.lag / 0.2
@@ -149,7 +145,7 @@ class _Fit:
         )
 
     def stepped(self, scenario: Scenario, **changes: Any) -> Scenario:
-        """Return the scenario with these changes, and with as many integration steps as the vehicle needs."""
+        """Return the scenario with these changes and the smallest sufficient number of integration steps."""
         substeps = scenario.substeps
         while True:
             try:
@@ -161,14 +157,13 @@ class _Fit:
 
 
 def in_vehicle_units(scenario: Scenario) -> Scenario:
-    """Return a scenario as it is in its vehicle's own units, which are the paper's for a vehicle like that one.
+    """Return a scenario in units in which mass, length and design speed of its vehicle are those of the paper.
 
-    Every episode drawn from it is the one drawn from the original, in other numbers; what has no dimension, such as an
-    action, is the same. A scenario whose vehicle has the mass, length and design speed of the paper's is returned as it
-    is.
+    The same random numbers give the same episodes in these units. Dimensionless quantities, such as actions, do not
+    change. If the vehicle has the mass, length and design speed of the paper, the scenario is returned.
 
     Raises:
-        ValueError: its path is not drawn, so that it has no speed and turn rate to scale; or a number is out of bounds.
+        ValueError: its path is fixed, so it has no turn rate to scale; or a number is out of bounds.
     """
     units = Units.of(scenario.vehicle)
     if units == Units():
@@ -176,8 +171,8 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
     path: Any = scenario.path
     if isinstance(path, Path):
         raise ValueError(
-            f"scenario {scenario.name!r} has one path of its own, which cannot be seen in the units of its vehicle; "
-            "give it paths that are drawn: a path with speed and turn_rate"
+            f"scenario {scenario.name!r} has a fixed path, which cannot be converted to the units of its vehicle; "
+            "give it random paths: a path with speed and turn_rate"
         )
     back = Units(1 / units.length, 1 / units.time, 1 / units.mass)
     names = "start", "sensors", "current"

@@ -1,4 +1,4 @@
-"""What agents are trained on when a command line names no single scenario: weighted mixtures of scenarios."""
+"""Weighted mixtures of scenarios, on which agents are trained."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from auv_gym.scenarios.scenario import RandomPath, Scenario
 Mixture = tuple[tuple[Scenario, float], ...]
 
 CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0}
-"""Weights of a regime's cases, the others have 1: those where most of the error is, or where vehicles are lost."""
-ADVERSE_WEIGHT = 8.0  # of the adverse scenario beside a regime's cases
+"""Weights of the cases with the largest errors and the most failures; the other cases have weight 1."""
+ADVERSE_WEIGHT = 8.0  # weight of the adverse scenario in the mixture of a speed range
 _WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
-OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
+OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] duration of an outage of position fixes
 
 
 def speed_range_mixture(speed_range: str, weights: Mapping[str, float] = CASE_WEIGHTS) -> Mixture:
-    """Return the eight cases of a regime with weights by case, 1 for those that have none."""
+    """Return the eight cases of a speed range with weights by case; the default weight is 1."""
     return tuple((PRESETS[f"{speed_range}-{case}"], weights.get(case, 1.0)) for case in CASES)
 
 
 def weighed(mixture: Mixture, weight: float) -> Mixture:
-    """Return a mixture whose weights are multiplied by a number."""
+    """Return a mixture with its weights multiplied by a number."""
     return tuple((scenario, weight * share) for scenario, share in mixture)
 
 
 def adverse(speed_range: str) -> Scenario:
-    """Return a storm in which anything may be wrong, and mostly a little: sensors, commands, actuators and current.
+    """Return a storm with sensor and actuator faults, delayed commands and a sheared current.
 
-    The kinds of trouble are those of unmodelled-v1, all at once and each down to none; the ranges are a little wider.
+    It combines all faults of the suite unmodelled-v1. Their ranges include none, and are slightly wider than there.
     """
     storm = PRESETS[f"{speed_range}-storm"]
     act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
@@ -58,14 +58,14 @@ def adverse(speed_range: str) -> Scenario:
 
 
 def slewing(scenario: Scenario, seconds: float) -> Scenario:
-    """Return a scenario whose actuators take so many seconds from zero to their limits."""
+    """Return the scenario with limited rates of the actuators, `seconds` from zero to their limits."""
     act = scenario.actuators
     slow = replace(act, F_u_rate=act.F_u_max / seconds, F_r_rate=act.F_r_max / seconds)
     return replace(scenario, name=f"{scenario.name}-slew-{seconds:g}", actuators=slow)
 
 
 def hasty() -> Scenario:
-    """Return the slow actuators of cruise where they are hardest: late ones on a fast and unstable vehicle."""
+    """Return the case of slow actuators at cruise with larger lags and speeds, at which the vehicle is unstable."""
     preset = PRESETS["cruise-actuator"]
     assert isinstance(preset.path, RandomPath)
     path = replace(preset.path, speed=(1.2, 1.6))
@@ -81,40 +81,40 @@ SLEWING: Mapping[str, Mixture] = {
     )
     for speed_range in SPEED_RANGES
 }
-"""Storms, and the slow actuators of calm water, that also slew, by regime; their weights add up to 1."""
-_WRONG: Mapping[str, Mixture] = {
+"""The cases storm and actuator of each speed range with limited actuator rates; the weights add up to 1."""
+_ADVERSE: Mapping[str, Mixture] = {
     f"{speed_range}-wrong": (
         (adverse(speed_range), 0.5),
         *((slewing(adverse(speed_range), seconds), 0.25) for seconds in SLEW_TIMES),
     )
     for speed_range in SPEED_RANGES
 }
-"""Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
+"""Adverse storms of each speed range, half of them with limited actuator rates; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
-"""Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
-HASTY_WEIGHT = 3.0  # of `hasty` beside the regimes' cases, for `helm`
-SLEW_WEIGHT = 3.0  # of slewing actuators beside a regime's cases, for `helm`
-WRONG_WEIGHTS = {"slow": 0.5, "cruise": 1.0}  # of storms in which anything may be wrong, likewise
+"""Weights of the cases in which errors remain large, or vehicles spin, when control effort has a small weight."""
+HASTY_WEIGHT = 3.0  # weight of `hasty` for `helm`
+SLEW_WEIGHT = 3.0  # weight of limited actuator rates for `helm`
+WRONG_WEIGHTS = {"slow": 0.5, "cruise": 1.0}  # weights of adverse storms for `helm`
 
 
 def everything() -> Mixture:
-    """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
+    """Return the mixture for `helm`: all cases, limited actuator rates, adverse storms and `hasty`."""
     cases = (
         part for speed_range in SPEED_RANGES for part in speed_range_mixture(speed_range, {**HARDEST, "waves": 2.0})
     )
     slew = (part for speed_range in SPEED_RANGES for part in weighed(SLEWING[f"{speed_range}-slew"], SLEW_WEIGHT))
-    wrong = (
+    storms = (
         part
         for speed_range in SPEED_RANGES
-        for part in weighed(_WRONG[f"{speed_range}-wrong"], WRONG_WEIGHTS[speed_range])
+        for part in weighed(_ADVERSE[f"{speed_range}-wrong"], WRONG_WEIGHTS[speed_range])
     )
-    return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
+    return (*cases, *slew, *storms, (hasty(), HASTY_WEIGHT))
 
 
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **SLEWING,
-    **_WRONG,
+    **_ADVERSE,
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
     **{
         f"{speed_range}-adverse": (*speed_range_mixture(speed_range), (adverse(speed_range), ADVERSE_WEIGHT))

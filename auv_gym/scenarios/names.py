@@ -1,8 +1,8 @@
-"""The scenarios that ship with the package by name alone, with their length: what the ids of the environments need."""
+"""The names of the presets and the lengths of their episodes, which registration needs without further imports."""
 
 SPEED_RANGES = ("slow", "cruise")
-"""Names of the ranges of speeds."""
+"""Names of the speed ranges."""
 CASES = ("calm", "noise", "current", "gauss-markov", "waves", "mismatch", "actuator", "storm")
-"""Names of the kinds of trouble; the preset of each in a regime is called REGIME-CASE."""
+"""Names of the disturbance cases; the preset of a case in a speed range is RANGE-CASE."""
 STEPS = {"paper-circle": 1000, **{f"{speed_range}-{case}": 600 for speed_range in SPEED_RANGES for case in CASES}}
 """Control steps of each preset until truncation."""

@@ -1,4 +1,4 @@
-"""The scenarios that ship with the package, by name: the paper's own, and eight cases in two regimes of speed."""
+"""The presets: scenarios by name, that of the paper and eight disturbance cases in two speed ranges."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPEED_RANGES", "as_scenario", 
 
 @dataclass(frozen=True)
 class _SpeedRange:
-    """What distinguishes the paper's slow speeds from an AUV's cruise."""
+    """The numbers that depend on the speed range."""
 
     path: RandomPath
     control_dt: float
@@ -47,6 +47,7 @@ _SPEED_RANGES = {
 
 
 def _preset(speed_range: str, case: str) -> Scenario:
+    """Return the scenario of a disturbance case in a speed range."""
     g = _SPEED_RANGES[speed_range]
     limits = g.limits
     lag: Interval = 0.0
@@ -90,12 +91,12 @@ PAPER_SCENARIO = Scenario(
     error_scale=0.2,
     lost_distance=10.0,
 )
-"""Section V: the 10 m circle at 0.1 m/s, from rest and 0.5 m, 1 m, 20 deg off, in any of the eight signs."""
+"""Section V: the 10 m circle at 0.1 m/s, from rest with errors of 0.5 m, 1 m and 20 deg, each of random sign."""
 
 PRESETS = {
     s.name: s for s in (PAPER_SCENARIO, *(_preset(speed_range, case) for speed_range in SPEED_RANGES for case in CASES))
 }
-"""Scenarios by name: add an entry here to use it as `gym.make(..., scenario=NAME)`."""
+"""Scenarios by name; a new entry can be used as `gym.make(..., scenario=NAME)`."""
 
 
 def list_scenarios() -> list[str]:
@@ -104,9 +105,12 @@ def list_scenarios() -> list[str]:
 
 
 def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
-    """Return a scenario given as an object, by a preset's name, or as a dict.
+    """Return the scenario for an object, the name of a preset, or a dict.
 
-    PRESET@VEHICLE is a preset made for another vehicle, see `fitting.changed`.
+    PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`.
+
+    Raises:
+        ValueError: the preset does not exist, or an entry is wrong.
     """
     if isinstance(scenario, Scenario):
         return scenario
@@ -117,6 +121,6 @@ def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
         if name in PRESETS:
             return changed(PRESETS[name], vehicle if at else None)
     allowed = (
-        f"a Scenario, a dict, or one of {', '.join(PRESETS)}, with a vehicle such as cruise-storm@lauv if you like"
+        f"a Scenario, a dict, or one of {', '.join(PRESETS)}, optionally with a vehicle, such as cruise-storm@lauv"
     )
     raise ValueError(f"unknown scenario {scenario!r}; allowed are {allowed}")

@@ -1,4 +1,4 @@
-"""Frozen dataclasses to and from plain records of dicts, lists, numbers and strings, refusing what they do not know."""
+"""Conversion of frozen dataclasses to and from records, which are dicts, lists, numbers and strings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def to_record(instance: Any) -> dict[str, Any]:
-    """Return a dataclass as a dict, nested dataclasses and tuples included; fields at their default are left out."""
+    """Return a dataclass as a dict of plain values; fields with their default value are omitted."""
     return {f.name: _plain(value) for f in fields(instance) if (value := getattr(instance, f.name)) != _default(f)}
 
 
@@ -38,11 +38,16 @@ def _plain(value: Any) -> Any:
 
 
 def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Callable[[Any], Any]] | None = None) -> T:
-    """Return the dataclass of a record; `special` converts fields whose type alone does not tell how.
+    """Return the dataclass of a record.
+
+    Args:
+        cls: the dataclass.
+        record: its values by the names of the fields.
+        where: name of the record in messages.
+        special: functions that convert the values of some fields.
 
     Raises:
-        ValueError: the record is no mapping, has an unknown entry, lacks a required one, or an entry is refused by the
-            dataclass itself.
+        ValueError: the record is not a mapping, an entry is unknown or missing, or the dataclass raises it.
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"{where} is {record!r}; it must be a table of named values")
@@ -64,13 +69,13 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
             values[name] = _tupled(value)
     try:
         return cls(**values)
-    except TypeError as error:  # a comparison with a value of the wrong kind
+    except TypeError as error:  # comparison with a value of a wrong type
         raise ValueError(f"{where}: {error}") from error
 
 
 @cache
 def _nested(cls: Any) -> dict[str, type]:
-    """Return the fields that hold another dataclass, perhaps optionally."""
+    """Return the fields whose type is another dataclass, or a dataclass or None."""
     found = {}
     for name, hint in typing.get_type_hints(cls).items():
         options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
@@ -86,15 +91,17 @@ def _tupled(value: Any) -> Any:
 
 _LARGEST_FILE = {".json": 2**24, ".toml": 2**20}  # [B]
 _LONG_KEY = re.compile(rb"(?:\.[ \t\"']{0,4}[\w-]{1,60}[ \t\"']{0,4}){50}")
-"""A dotted key of TOML that is longer than any of ours: the decoder's time goes with the square of its length."""
+"""A dotted key of TOML that is too long; the time of the decoder grows with the square of its length."""
 
 
 @contextmanager
 def guarded(what: str) -> Iterator[None]:
-    """Turn whatever damaged input makes a reader raise into ValueError; OSError passes, since it names the file itself.
+    """Turn every exception that a reader raises on damaged input into ValueError.
+
+    ImportError and OSError pass unchanged; the message of an OSError has the name of the file already.
 
     Args:
-        what: begins the message.
+        what: beginning of the message.
 
     Raises:
         ValueError: the input is damaged.
@@ -109,7 +116,7 @@ def guarded(what: str) -> Iterator[None]:
 
 
 def checked_suffix(file: Path) -> str:
-    """Return .json or .toml, whichever a file's name ends in; raise ValueError if it is neither."""
+    """Return the suffix of a file name; raise ValueError if it is neither .json nor .toml."""
     if file.suffix not in (".json", ".toml"):
         raise ValueError(f"file {file} ends in {file.suffix!r}; it must end in .json or .toml")
     return file.suffix
@@ -125,7 +132,7 @@ def read_table(file: Path) -> Any:
     suffix = checked_suffix(file)
     largest = _LARGEST_FILE[suffix]
     if file.exists() and not (file.is_file() and file.stat().st_size <= largest):
-        raise ValueError(f"{file} is no regular file of at most {largest} bytes")
+        raise ValueError(f"{file} is not a regular file of at most {largest} bytes")
     data = file.read_bytes()
     with guarded(f"{file} is not valid {suffix[1:].upper()}"):
         if suffix == ".toml" and _LONG_KEY.search(data):

@@ -1,10 +1,10 @@
-"""Scenario: a task as a distribution of episodes, composed of small frozen objects; JSON and TOML files."""
+"""The scenario: a distribution of episodes, composed of small frozen objects, with JSON and TOML files."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -19,7 +19,7 @@ from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_n
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
@@ -29,18 +29,18 @@ from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
 
 T = TypeVar("T")
 DRAWS = 96
-"""Uniform numbers reserved for one episode's parameters."""
+"""Number of uniform numbers that are reserved for the parameters of one episode."""
 _USUAL = {term.name: term.bound * term.scale for term in TERMS}
-"""The largest that an observation usually shows of each term, in SI units, see `task.bounds`."""
+"""Usual bound of each term of an observation, in SI units, see `task.bounds`."""
 ATTEMPTS = 20
-"""How many episodes are drawn at most until one can be followed."""
+"""Largest number of draws until an episode has a feasible path."""
 
 
 @dataclass(frozen=True)
 class RandomPath:
-    """Distribution of the path: a family, a nominal speed, and a member that turns as fast as `turn_rate` at most.
+    """Distribution of the path: a family, a nominal speed, and a member whose turn rate is at most `turn_rate`.
 
-    The lobes of a figure-eight alone turn faster, 1.2 to 1.75 times that.
+    Only the lobes of a figure-eight turn faster, by a factor of 1.2 to 1.75.
     """
 
     speed: Interval  # [m/s]
@@ -62,7 +62,7 @@ class RandomPath:
         return self.member(int(uniform() * len(self.families)), uniform)
 
     def member(self, family: int, uniform: Uniform) -> Path:
-        """Return a path of one of the families, or for a stream of rows N paths, as `stack` makes one of them."""
+        """Return a path of a family by its index, or N paths as one, see `stack`, from rows of the stream."""
         drawn: Path = PATHS[self.families[family]].drawn(draw(self.speed, uniform), self.turn_rate, uniform)  # type: ignore[attr-defined]
         return drawn
 
@@ -100,12 +100,12 @@ _PARTS: dict[str, tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class Scenario:
-    """A task: path, vehicle, sea, sensors, actuators, start, clock and reward; intervals are drawn from."""
+    """A task: path, vehicle, disturbances, sensors, actuators, start, clock and reward; intervals are distributions."""
 
     name: str = "custom"
     path: Path | RandomPath = PAPER_CIRCLE
-    vehicle: Vehicle = PAPER_VEHICLE  # the known one, which the plan is made for
-    mismatch: RandomMismatch | None = None  # None: the true vehicle is the known one
+    vehicle: Vehicle = PAPER_VEHICLE  # the nominal vehicle, for which the reference is planned
+    mismatch: RandomMismatch | None = None  # None: the true vehicle is the nominal one
     current: RandomCurrent | None = None
     waves: RandomWaves | None = None
     sensors: Sensors = field(default_factory=Sensors)
@@ -114,8 +114,8 @@ class Scenario:
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
     substeps: int = 1  # Runge-Kutta steps in a control period
-    error_scale: float = 0.5  # [m] position error at which the reward has fallen to 0.71
-    rate_weight: float = 0.05  # reward lost per squared change of the action
+    error_scale: float = 0.5  # [m] position error at which the reward is 0.71
+    rate_weight: float = 0.05  # penalty for the squared change of the action
     lost_distance: float = 30.0  # [m] position error that terminates
 
     def __post_init__(self) -> None:
@@ -135,14 +135,14 @@ class Scenario:
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
-        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
+        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients)
         if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
 
-    def _check_step(self, coefficients: Coefficients, speeds: Load = AT_REST) -> None:
+    def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
         """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
         surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
         if self.waves is not None:
@@ -173,15 +173,15 @@ class Scenario:
         return episode
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
-        """Return the episode on a path that further numbers of a uniform stream make, but for outages and reckoning.
+        """Return the episode of a path, drawn from a uniform stream, without outages and dead reckoning.
 
         Args:
-            path: of the episode, or one of `stack` for N of them.
-            uniform: the stream, or one of rows (N,), see `draw`.
-            noise_seed: of the episode.
+            path: path of the episode, or N paths as one, see `stack`.
+            uniform: the stream, with numbers or with rows of shape (N,), see `draw`.
+            noise_seed: seed of the noise of the episode.
 
         Returns:
-            The episode; its numbers are rows (N,) where those of the stream are.
+            The episode; with rows in the stream its numbers are rows of shape (N,).
         """
         start, act, known = self.start, self.actuators, self.vehicle
         vehicle = self.mismatch.draw(uniform, known) if self.mismatch else known
@@ -204,10 +204,10 @@ class Scenario:
         )
 
     def drawn(self, rng: np.random.Generator, plan: Callable[[Episode], T]) -> tuple[Episode, T]:
-        """Return one episode and what `plan` makes of it; an episode that it refuses is drawn anew.
+        """Return an episode and the result of `plan(episode)`; after a ValueError of `plan` another episode is drawn.
 
         Raises:
-            ValueError: the path is not drawn, or `ATTEMPTS` episodes in a row are refused; the generator is as it was.
+            ValueError: `plan` refused a fixed path, or `ATTEMPTS` random ones; the state of the generator is unchanged.
         """
         state = rng.bit_generator.state
         for left in reversed(range(ATTEMPTS if isinstance(self.path, RandomPath) else 1)):
@@ -222,7 +222,7 @@ class Scenario:
 
     @cached_property
     def parts(self) -> Parts:
-        """What the simulation of its episodes needs."""
+        """The parts of the simulation that its episodes use."""
         return Parts(
             self.substeps,
             filtered=self.sensors.low_pass is not None,
@@ -232,6 +232,7 @@ class Scenario:
             sheared=self.current is not None and self.current.shear != 0,
             reckoned=self.sensors.reckoning is not None,
             lifting=self.vehicle.has_lift,
+            crossed=any(self.vehicle.cross_flow),
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
             span=self.span,
@@ -239,7 +240,7 @@ class Scenario:
 
     @property
     def span(self) -> int:
-        """How much wider than usual the bounds of its observations are, a power of two, see `task.bounds`."""
+        """Factor of the usual bounds of its observations, a power of two, see `task.bounds`."""
         act = self.actuators
         needed = act.F_u_max / _USUAL["F_u_max"], act.F_r_max / _USUAL["F_r_max"], self.lost_distance / _USUAL["e_x"]
         return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
@@ -248,7 +249,7 @@ class Scenario:
         """Return the constants of an episode.
 
         Raises:
-            ValueError: the episode has what this scenario's episodes cannot have, or the integration step is too long.
+            ValueError: the episode has a part that the scenario does not have, or the integration step is too long.
         """
         parts = self.parts
         for part, there, what in (
@@ -257,12 +258,13 @@ class Scenario:
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
-            (parts.lifting, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.crossed, any(episode.vehicle.cross_flow), "a vehicle with cross-flow"),
         ):
             if there and not part:
-                raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
+                raise ValueError(f"the episode has {what}, but scenario {self.name!r} has none; change one of them")
         if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
-            self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
+            self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)
         return self.constants(episode)
 
     def constants(self, episode: Episode) -> Parameters:
@@ -287,11 +289,12 @@ class Scenario:
             astern=act.astern,
             shear=Shear(*episode.current.shear),
             log=log_of(episode.reckoning),
+            cross_flow=episode.vehicle.cross_flow,
             parts=self.parts,
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scenario as plain dicts, lists, numbers and strings; fields at their default are left out."""
+        """Return the scenario as plain dicts, lists, numbers and strings, without fields that have their default."""
         record = to_record(self)
         if not isinstance(self.path, RandomPath):
             family = next((name for name, cls in PATHS.items() if type(self.path) is cls), None)
@@ -304,10 +307,10 @@ class Scenario:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
-        """Return the scenario of a dict as `to_dict` gives it; `vehicle` may also be a name.
+        """Return the scenario of a dict in the format of `to_dict`; `vehicle` may also be a name.
 
         Raises:
-            ValueError: an unknown or wrong entry, named together with what is allowed.
+            ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
         return from_record(cls, record, "scenario", {"path": _path_of, "vehicle": as_vehicle})
 
@@ -327,7 +330,7 @@ class Scenario:
         """Return the scenario of a .json or .toml file.
 
         Raises:
-            ValueError: the file is of another kind or too large, is not valid JSON or TOML, or has a wrong entry.
+            ValueError: the file is not a regular file, too large, no valid JSON or TOML, or has a wrong entry.
             OSError: the file cannot be read.
         """
         record = read_table(FilePath(file))

@@ -1,6 +1,6 @@
-"""The simulation as kernels: vehicles in memory that compiled code reads and writes, one control step at a time.
+"""The simulation as kernels, and the vehicles whose memory compiled code reads and writes.
 
-The equations are those of `simulation`, `task` and `policy`, traced here and written nowhere else.
+The equations are those of `simulation`, `observation` and `policy`, which are traced here.
 """
 
 from __future__ import annotations
@@ -29,39 +29,39 @@ from auv_gym.task.simulation import (
     step,
 )
 
-ACTIONS = 2  # surge and yaw
-STATES = 6  # rows of a `dynamics.State`
+ACTIONS = 2  # number of actions, surge and yaw
+STATES = 6  # number of rows of a `dynamics.State`
 
 
 class Outcome(NamedTuple):
-    """What the task makes of a control step: floats, or rows of shape (N,)."""
+    """The outcome of a control step: floats, or rows of shape (N,)."""
 
     reward: Any
-    failed: Any  # 1 where the vehicle is lost, else 0
-    error: Any  # [m] of the position
+    failed: Any  # 1 where the episode has failed, else 0
+    error: Any  # [m] position error
     saturated: Any  # 1 where an actuator was commanded to its limit, else 0
 
 
-OUTCOMES = len(Outcome._fields)  # how many rows an outcome has
+OUTCOMES = len(Outcome._fields)  # number of rows of an outcome
 
 
 def _observed(terms: Sequence[Any], forces: Forces | None, parts: Parts) -> list[Any]:
-    """Return the rows of an observation, and behind them the action of a law, if there is one."""
+    """Return the rows of an observation, with the action of a control law appended if there is one."""
     rows: list[Any] = encode(terms, SYMBOLS, parts.span)
     if forces is None:
         return rows
     o = decode(rows, SYMBOLS)
-    return [*rows, *map(single, action_of(forces(o, SYMBOLS), o, SYMBOLS))]  # as `Law.predict` gives it
+    return [*rows, *map(single, action_of(forces(o, SYMBOLS), o, SYMBOLS))]  # single precision, as `Law.predict`
 
 
 @lru_cache(maxsize=64)
 def step_kernel(parts: Parts, forces: Forces | None = None, *, carried: bool = False) -> Kernel:
-    """Return the kernel of a control step: from plant and observation `now` to those of `next`, with the outcome.
+    """Return the kernel of a control step, from plant and observation to the next ones, with the outcome.
 
     Args:
-        parts: what is in use of the simulation.
-        forces: of the law that actions correct by up to an authority, see `policy.corrected`; None: actions command.
-        carried: whether those of `next` take the place of those of now.
+        parts: the parts of the simulation in use.
+        forces: of the control law that actions correct, see `policy.corrected`; None if actions are commands.
+        carried: whether the next plant and observation replace the present ones.
     """
     after = "" if carried else "next_"
 
@@ -84,7 +84,7 @@ def step_kernel(parts: Parts, forces: Forces | None = None, *, carried: bool = F
 
 @lru_cache(maxsize=64)
 def start_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
-    """Return the kernel of `simulation.start`, from a state to a plant and its first observation."""
+    """Return the kernel of `simulation.start`, from a state to the plant and the first observation."""
 
     def equation(state: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         plant, terms = start(tuple(state), sample, Parameters.of(parameters, parts), SYMBOLS)
@@ -93,66 +93,65 @@ def start_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
     return Kernel.traced(equation, {"state": STATES, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS})
 
 
-def begun(
+def started(
     parts: Parts, states: Array, sample: Array, parameters: Array, forces: Forces | None = None
 ) -> tuple[Array, Array]:
     """Return plants, shape (PLANT_ROWS, n), and observations, shape (columns, n), at the start of n episodes.
 
     Args:
-        parts: what is in use of the simulation.
+        parts: the parts of the simulation in use.
         states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (STATES, n).
-        sample: rows of their `simulation.Sample` there, shape (SAMPLE_ROWS, n).
-        parameters: rows of their `simulation.Parameters`, shape (PARAMETER_ROWS, n).
-        forces: of a law whose action is observed as well.
+        sample: rows of the first `simulation.Sample`, shape (SAMPLE_ROWS, n).
+        parameters: rows of the `simulation.Parameters`, shape (PARAMETER_ROWS, n).
+        forces: of the control law whose action is appended to observations; None without one.
     """
     results = start_kernel(parts, forces)(state=states, sample=sample, parameters=parameters)
     return results["plant"], results["seen"]
 
 
 def columns(forces: Forces | None) -> int:
-    """Return how many numbers an observation has, the action of a law included."""
+    """Return the number of columns of an observation, with the action of a control law if there is one."""
     return SIZE if forces is None else SIZE + ACTIONS
 
 
 class Side(NamedTuple):
-    """What is known at one control instant, rows of N vehicles."""
+    """The arrays of N vehicles at one control instant."""
 
     plant: Array  # shape (PLANT_ROWS, N)
-    seen: Array  # the observation, shape (columns, N)
-    outcome: Array  # of the step that led here, shape (OUTCOMES, N)
+    seen: Array  # observation, shape (columns, N)
+    outcome: Array  # outcome of the last step, shape (OUTCOMES, N)
 
 
 class Bodies(Protocol):
-    """N vehicles that an environment steps; see `Vehicles`, which are those of the equations of motion."""
+    """The interface of the N vehicles of an environment; `Vehicles` implements it by the equations of motion."""
 
     action: Array
     now: Side
 
     @property
     def plant(self) -> Plant:
-        """What is now: rows of shape (N,)."""
+        """The present plants, rows of shape (N,)."""
 
-    def place(self, lanes: Any, plant: Array, seen: Array) -> None:
-        """Put n of the vehicles, an index of which is given, where `begun` says, now."""
+    def place(self, indices: Any, plant: Array, seen: Array) -> None:
+        """Set the plants and observations of n vehicles to those of `started`."""
 
     def step(self, row: int) -> None:
-        """Go on by a control step, with `action` and a row of the samples."""
+        """Advance by a control step with `action` and the sample of an index."""
 
     def undo(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
 
 
 MadeBodies = Callable[[Parts, Array, Array], Bodies]
-"""Makes vehicles of the parts in use, and where samples and parameters will be, see `Vehicles`."""
+"""Makes vehicles, for the parts in use and the arrays of samples and parameters, see `Vehicles`."""
 
 
 class Vehicles:
-    """N vehicles, stepped by a kernel from one side of a memory to the other, so that the last step can be undone.
+    """N vehicles; a step writes to a second set of arrays, so the last step can be undone.
 
     Attributes:
-        action: what they do in the next step, shape (ACTIONS, N); commands, or corrections to a law.
-        now: the plants, shape (PLANT_ROWS, N), what is `seen` of them, shape (columns, N), and the `outcome` of the
-            step that led here, the rows of an `Outcome`.
+        action: actions of the next step, shape (ACTIONS, N); commands, or corrections to a control law.
+        now: the present plants, observations and outcomes.
     """
 
     def __init__(
@@ -166,14 +165,14 @@ class Vehicles:
         """Make N vehicles.
 
         Args:
-            parts: what is in use of the simulation.
-            samples: where the rows of `simulation.Sample` will be, shape (T, SAMPLE_ROWS, N).
-            parameters: where the rows of `simulation.Parameters` will be, shape (PARAMETER_ROWS, N).
-            forces: of a law that actions correct; None: they command.
+            parts: the parts of the simulation in use.
+            samples: array for the rows of `simulation.Sample`, shape (T, SAMPLE_ROWS, N).
+            parameters: array for the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+            forces: of the control law that actions correct; None if actions are commands.
             authority: largest corrections of surge and yaw.
 
         Raises:
-            TypeError: the law branches on what is observed.
+            TypeError: the law branches on values of the observation.
         """
         n = samples.shape[-1]
         self.parts, self.forces, self.action = parts, forces, np.zeros((ACTIONS, n))
@@ -183,12 +182,12 @@ class Vehicles:
         self._authority = np.repeat(np.array(authority, dtype=np.float64)[:, None], n, axis=1)
         sizes = PLANT_ROWS, columns(forces), OUTCOMES
         self.now, self._other = (Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
-        self._run = self._run_back = self._begin
+        self._run = self._run_back = self._first_run
         if forces is not None:
-            step_kernel(parts, forces)  # refuses a law that cannot be traced
+            step_kernel(parts, forces)  # raises TypeError for a law that cannot be traced
 
-    def _begin(self, first: int, steps: int) -> None:
-        """Compile the step when it is first taken: until then a law may come, and other vehicles with it."""
+    def _first_run(self, first: int, steps: int) -> None:
+        """Compile and run the first step; these vehicles may be replaced before it, so it is not compiled earlier."""
         kernel = step_kernel(self.parts, self.forces)
         self._run, self._run_back = (
             kernel.bound(
@@ -207,40 +206,41 @@ class Vehicles:
         self._run(first, steps)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but the addresses of this memory."""
+        """Return all attributes except addresses."""
         return {key: value for key, value in self.__dict__.items() if key not in ("_run", "_run_back")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take everything up, at new addresses."""
+        """Set all attributes; addresses are determined again."""
         self.__dict__.update(state)
-        self._run = self._run_back = self._begin
+        self._run = self._run_back = self._first_run
 
-    def place(self, lanes: Any, plant: Array, seen: Array) -> None:
-        """Put n of the vehicles, an index of which is given, where `begun` says, now."""
-        self.now.plant[:, lanes], self.now.seen[:, lanes] = plant, seen
+    def place(self, indices: Any, plant: Array, seen: Array) -> None:
+        """Set the plants and observations of n vehicles to those of `started`."""
+        self.now.plant[:, indices], self.now.seen[:, indices] = plant, seen
 
     def step(self, row: int) -> None:
-        """Go on by a control step, with `action` and a row of the samples."""
+        """Advance by a control step with `action` and the sample of an index."""
         self._run(row, 1)
         self.now, self._other, self._run, self._run_back = self._other, self.now, self._run_back, self._run
 
     def undo(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
         self.now, self._other, self._run, self._run_back = self._other, self.now, self._run_back, self._run
 
     @property
     def plant(self) -> Plant:
-        """What is now: rows of shape (N,)."""
+        """The present plants, rows of shape (N,)."""
         return filled(PLANT, tuple(self.now.plant))
 
 
 class OneVehicle:
-    """One of the `Vehicles`, whose step costs little more than a call; it cannot be undone.
+    """A single vehicle with a fast step, which cannot be undone.
 
     Attributes:
-        action: what it does in the next step, `ACTIONS` numbers; commands, or corrections to a law.
+        action: actions of the next step, `ACTIONS` numbers; commands, or corrections to a control law.
         outcome: the numbers of the `Outcome` of the last step.
-        seen: what is observed now, shape (columns,).
+        seen: the present observation, shape (columns,).
+        step: advances by several control steps, for the index of the first sample and the number of steps.
     """
 
     def __init__(
@@ -254,34 +254,33 @@ class OneVehicle:
         """Make a vehicle; the arguments are those of `Vehicles`.
 
         Raises:
-            TypeError: the law branches on what is observed.
+            TypeError: the law branches on values of the observation.
         """
         self._parts, self._forces = parts, forces
         sizes = {"plant": PLANT_ROWS, "seen": columns(forces), "outcome": OUTCOMES, "action": ACTIONS, "state": STATES}
         self._arrays = {name: np.zeros((rows, 1)) for name, rows in sizes.items()}
         self._arrays |= {"authority": np.array(authority)[:, None], "samples": samples, "parameters": parameters}
         if forces is not None:
-            step_kernel(parts, forces, carried=True)  # refuses a law that cannot be traced
-        self._show()
+            step_kernel(parts, forces, carried=True)  # raises TypeError for a law that cannot be traced
+        self._make_views()
 
-    def _show(self) -> None:
+    def _make_views(self) -> None:
         self.action, self.outcome = (self._arrays[name].ravel().data for name in ("action", "outcome"))
         self.seen = self._arrays["seen"][:, 0]
         self.step: Callable[[int, int], None] = self._first_step
-        """Goes on by control steps, given the first of the samples and how many there are."""
         self._start: Callable[[int, int], None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but views and addresses of this memory."""
+        """Return all attributes except views and addresses."""
         return {key: self.__dict__[key] for key in ("_parts", "_forces", "_arrays")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take everything up, at new addresses."""
+        """Set all attributes; addresses are determined again."""
         self.__dict__.update(state)
-        self._show()
+        self._make_views()
 
     def _bind(self) -> None:
-        """Compile what has not been needed before: until then a law may come, and another vehicle with it."""
+        """Compile the kernels; this vehicle may be replaced before its first use, so they are not compiled earlier."""
         kernels = {
             "step": step_kernel(self._parts, self._forces, carried=True),
             "start": start_kernel(self._parts, self._forces),
@@ -297,7 +296,7 @@ class OneVehicle:
         self.step(first, steps)
 
     def start(self, state: Array) -> None:
-        """Begin an episode in a state, see `begun`, whose first sample is the first of the samples."""
+        """Start an episode in a state, shape (STATES, 1), with the first of the samples; see `started`."""
         self._arrays["state"][:] = state
         if self._start is None:
             self._bind()

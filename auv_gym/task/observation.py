@@ -1,6 +1,6 @@
-"""What an agent sees and what it is paid for: observation, reward and termination, shared by every environment.
+"""Observation, reward and failure, for all environments.
 
-The scales of the observation are fixed powers of two, so that decoding returns the encoded numbers exactly.
+The scales of the observation are fixed powers of two, so decoding returns the encoded numbers exactly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from auv_gym.physics.namespaces import ARRAYS, FLOATS, Constants, Namespace, Num
 
 
 class Term(NamedTuple):
-    """One entry of the observation: the physical quantity divided by `scale`, clipped to +-`bound`."""
+    """A term of the observation: a physical quantity divided by `scale`, clipped to +-`bound`."""
 
     name: str
     unit: str
@@ -32,7 +32,7 @@ W = 8.0  # [rad/s] bound of yaw rates in an observation
 
 
 class Observation(NamedTuple):
-    """A decoded observation in SI units: floats, or arrays of shape (N,); behind each field the rest of its `Term`."""
+    """A decoded observation in SI units: floats, or arrays of shape (N,). Annotations hold the fields of its `Term`."""
 
     e_x: Annotated[Number, "m", 1.0, L, "measured position error along the body's surge axis, R(psi)^T (x_e, y_e)"]
     e_y: Annotated[Number, "m", 1.0, L, "measured position error along the body's sway axis"]
@@ -55,23 +55,23 @@ class Observation(NamedTuple):
 
 
 TERMS = tuple(Term(name, *hint.__metadata__) for name, hint in get_type_hints(Observation, include_extras=True).items())
-"""The entries of an observation, in its order."""
-SIZE = len(TERMS)  # of an observation without a preview
-SCALES = np.array([term.scale for term in TERMS])  # (SIZE,) by which terms in SI units are divided
-BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) of the scaled terms
+"""The terms of an observation in their order."""
+SIZE = len(TERMS)  # number of terms
+SCALES = np.array([term.scale for term in TERMS])  # (SIZE,) divisors of the terms in SI units
+BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) bounds of the scaled terms
 ERROR_TERMS = 6
-"""How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
+"""Number of the first terms that are clipped; the others are within their bounds by construction."""
 
 _SCALES, _INVERSE = Constants.of(SCALES), Constants.of(1.0 / SCALES)
 _LARGE = "m", "N", "N m"
-"""Units of the terms that are larger for larger vehicles."""
+"""Units of the terms whose bounds depend on the size of the vehicle."""
 
 
 def bounds(span: int) -> NDArray[np.float64]:
-    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, those of lengths and forces `span` times as wide.
+    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, times `span` for lengths, forces and torques.
 
-    The scales are the same for every vehicle, so that an observation is decoded without knowing whose it is; a ship's
-    lengths and forces have wider bounds, by a power of two that its scenario says.
+    The scales are the same for all vehicles, so an observation is decoded without its scenario. Scenarios of ships have
+    wider bounds of lengths and forces: their `span` is a power of two above 1.
     """
     return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(span), 1.0)
 
@@ -80,11 +80,9 @@ _ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERROR_TERMS]) for k in range(3
 
 
 def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
-    """Return observations, their first axis counting the terms, for terms in SI units: each over its scale, bounded.
+    """Return observations, with the terms on the first axis, for terms in SI units; for the span see `bounds`.
 
-    The span widens the `bounds`.
-
-    Bounding costs a single vehicle more than seeing that it need not be done.
+    For a single vehicle a check of the bounds takes less time than clipping.
     """
     rows = ns.scaled(terms, _INVERSE)
     (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERROR_TERMS], L * span
@@ -96,12 +94,12 @@ def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
 
 
 def decode(rows: Any, ns: Namespace) -> Any:
-    """Return the terms in SI units of observations whose first axis counts the terms."""
+    """Return the terms in SI units of observations with the terms on the first axis."""
     return ns.scaled(rows, _SCALES)
 
 
 def encode_observation(terms: Sequence[float], span: int = 1) -> NDArray[np.float64]:
-    """Return the observation, shape (SIZE,), of terms in SI units; a ship's scenario has a `span` beyond 1."""
+    """Return the observation, shape (SIZE,), of terms in SI units; for the span see `bounds`."""
     observation: NDArray[np.float64] = encode(terms, FLOATS, span)
     return observation
 
@@ -109,7 +107,7 @@ def encode_observation(terms: Sequence[float], span: int = 1) -> NDArray[np.floa
 def decode_observation(observation: NDArray[Any]) -> Observation:
     """Return the physical terms of an observation of shape (SIZE,) as floats, or of (N, SIZE) as arrays (N,).
 
-    Exact, but for terms that were clipped at their bound. Further columns, as the residual environment's, are ignored.
+    It is exact except for clipped terms. Further columns, such as those of the residual environment, are ignored.
 
     Raises:
         ValueError: the array has another number of dimensions, or fewer columns.
@@ -118,7 +116,7 @@ def decode_observation(observation: NDArray[Any]) -> Observation:
 
 
 def decoded_terms(observation: NDArray[Any]) -> Any:
-    """Return what `decode_observation` does as a plain list of floats or an array of rows: a third of its cost."""
+    """Return the terms of `decode_observation` as a list of floats or an array of rows, in a third of the time."""
     shape = observation.shape
     if not 1 <= len(shape) <= 2 or shape[-1] < SIZE:
         raise ValueError(f"observation has shape {shape}; it must be ({SIZE},) or (N, {SIZE}), or wider")
@@ -127,16 +125,16 @@ def decoded_terms(observation: NDArray[Any]) -> Any:
     return decode(observation, FLOATS).tolist() if len(shape) == 1 else decode(observation.T, ARRAYS)
 
 
-F_U_MAX = Observation._fields.index("F_u_max")  # the place of the surge limit in an observation
-F_R_MAX = Observation._fields.index("F_r_max")  # the place of the yaw limit in an observation
+F_U_MAX = Observation._fields.index("F_u_max")  # index of the surge limit in an observation
+F_R_MAX = Observation._fields.index("F_r_max")  # index of the yaw limit in an observation
 
 
 def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:
-    """Return the action that commands F_u [N], F_r [N m], within [-1, 1].
+    """Return the action that commands F_u [N], F_r [N m], clipped to [-1, 1].
 
     Args:
         forces: F_u, F_r.
-        o: an `Observation`, or its terms in that order; what an action of 1 commands is among them.
+        o: an `Observation`, or its terms in that order.
         ns: the namespace of the numbers.
     """
     F_u, F_r = forces
@@ -144,22 +142,22 @@ def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number
 
 
 _REFERENCE_TERMS = [TERMS[k] for k in range(*map(Observation._fields.index, ("u_R", "cos_psi")))]
-"""Velocities and forces of the reference, as in an observation."""
+"""The terms of the velocities and forces of the reference."""
 
 
 def reference_bounds(span: int) -> list[float]:
-    """Return how large |u|, |v|, |r|, |F_u|, |F_r| of a reference may be, in SI units, to be within the `bounds`."""
+    """Return the largest |u|, |v|, |r|, |F_u|, |F_r| of a reference within the `bounds`, in SI units."""
     most = dict(zip(Observation._fields, (bounds(span) * SCALES).tolist(), strict=True))
     return [most[term.name] for term in _REFERENCE_TERMS]
 
 
 def check_reference(table: NDArray[np.float64], span: int) -> None:
-    """Raise ValueError if a reference table, shape (T, 8), has rates or forces beyond the observation's bounds."""
+    """Raise ValueError if rates or forces of a reference table, shape (T, 8), exceed the bounds of observations."""
     largest = np.abs(table[:, 3:]).max(axis=0).tolist()
     for term, value, bound in zip(_REFERENCE_TERMS, largest, reference_bounds(span), strict=True):
         if not value <= bound:
             raise ValueError(
-                f"reference {term.name} reaches {value:.4g} {term.unit}; at most {bound:g} can be observed"
+                f"reference {term.name} reaches {value:.4g} {term.unit}; an observation holds at most {bound:g}"
             )
 
 
@@ -168,13 +166,13 @@ def reward(
 ) -> Number:
     """Return 1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2.
 
-    It peaks at 1 for zero position error e, falls like 1/e far away so that a lost vehicle still sees a slope, and is
-    positive at a steady action, so that ending an episode early never pays. Heading is left free: under a current the
-    crab angle is part of the solution.
+    The maximum is 1, at zero position error e. For large errors the reward decreases as 1/e, so its gradient does not
+    vanish. It is positive for a constant action, so it is never better to end an episode early. It does not depend on
+    the heading, since a current requires a crab angle.
     """
     return 1 / ns.sqrt(1 + squared_error / (error_scale * error_scale)) - rate_weight * squared_change
 
 
 def failed(squared_error: Number, lost_distance: Number) -> Number:
-    """Return whether the vehicle is lost: farther than lost_distance [m] from the reference."""
-    return (squared_error <= lost_distance * lost_distance) ^ True  # so that what is no number any more is lost, too
+    """Return whether the distance to the reference exceeds lost_distance [m]."""
+    return (squared_error <= lost_distance * lost_distance) ^ True  # True for nan as well

@@ -1,4 +1,4 @@
-"""What acts: the interface of a policy, and the rule that turns an expert and a correction into a command."""
+"""The interface of a policy, control laws, and the command of residual control."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from auv_gym.physics.namespaces import ARRAYS, FLOATS, Namespace, Number
 from auv_gym.task.observation import F_R_MAX, F_U_MAX, SIZE, Observation, action_of, decoded_terms
 
 LARGEST = 1e12
-"""Magnitude beyond which an entry of an observation was not measured: those of the largest ships are below 2e11."""
-_A_U = Observation._fields.index("a_u")  # where the last surge command stands in an observation; yaw's is next to it
-_POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]  # the limits and the control period
+"""Largest magnitude of a valid entry of an observation; those of the largest ships are below 2e11."""
+_A_U = Observation._fields.index("a_u")  # index of the last surge command; that of yaw follows
+_POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]  # indices of the limits and the control period
 Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, Number]]
-"""F_u [N], F_r [N m] of the terms of an observation in SI units, computed with a namespace."""
+"""A function that returns F_u [N], F_r [N m] for the terms of an observation in SI units and a namespace."""
 
 
 def measured(observation: NDArray[Any]) -> bool:
-    """Return whether all entries of observations are finite and not beyond `LARGEST`; it costs a microsecond.
+    """Return True only if all entries of observations are finite and at most `LARGEST`, within a microsecond.
 
-    It may return False where only their squares add up to more.
+    The test is that of the sum of squares, so it can return False for valid entries.
     """
     entries = observation.ravel("K")
     return bool(entries.dot(entries) <= LARGEST * LARGEST)
 
 
 def usable(rows: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return for which observations, rows (N, n), a command can be computed, shape (N,).
+    """Return whether each observation, rows (N, n), is valid, shape (N,).
 
-    All entries are finite and not beyond `LARGEST`, and limits and control period are positive.
+    All entries must be finite and at most `LARGEST`, and limits and control period positive.
     """
     return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, _POSITIVE] > 0).all(axis=1))
 
 
 def last_commands(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the actions before observations, rows (N, n), that these hold, shape (N, 2); zero for what is none."""
+    """Return the previous actions in observations, rows (N, n), shape (N, 2); zero if invalid."""
     last = rows[:, _A_U : _A_U + 2]
     return np.where(np.abs(last) <= 1.0, last, 0.0).astype(np.float32)
 
 
 class Policy(Protocol):
-    """Whatever acts: Stable-Baselines3's `predict`, for one observation (n,) or a batch (N, n)."""
+    """The interface of `predict` of Stable-Baselines3, for one observation (n,) or a batch (N, n)."""
 
     def predict(
         self,
@@ -53,22 +53,22 @@ class Policy(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action and the memory to hand in at the next call."""
+        """Return the action, and the memory for the next call."""
 
 
 class Law(ABC):
-    """A policy without memory whose forces are a pure function of the observation's terms.
+    """A control law: a policy without memory whose forces are a pure function of the observation's terms.
 
-    That function runs on the numbers of any namespace, so it can be traced, compiled and differentiated.
+    The function computes on any namespace, so it can be traced, compiled and differentiated.
     """
 
     @abstractmethod
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
-        """Return F_u [N], F_r [N m] for a `task.Observation` in SI units, or its terms in that order."""
+        """Return F_u [N], F_r [N m] for an `Observation` in SI units, or its terms in that order."""
 
     def check(self, terms: Any) -> None:
-        """Look at what is observed, the terms as a list or as rows, and warn if the law is not made for it."""
-        del terms  # most laws are made for everything
+        """Warn if the law is not suitable for the observed terms, a list or rows."""
+        del terms  # most laws are suitable for all
 
     def predict(
         self,
@@ -77,10 +77,10 @@ class Law(ABC):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` untouched.
+        """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` unchanged.
 
-        The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
-        residual environment's, are fine. Where an observation is not `usable` the last command is repeated.
+        The law has no memory; the arguments after the first are not used. Further columns of observations, such as
+        those of the residual environment, are ignored. If an observation is not `usable`, the last command is repeated.
 
         Raises:
             ValueError: the observation has another shape.
@@ -100,23 +100,23 @@ class Law(ABC):
 
 
 def traceable(policy: Any) -> bool:
-    """Return whether a policy does what its `forces` say: whether it is a `Law` with `Law.predict`."""
+    """Return whether the actions of a policy are given by its `forces`: a `Law` with the method `Law.predict`."""
     return isinstance(policy, Law) and type(policy).predict is Law.predict
 
 
 def preview_of(policy: Any) -> tuple[int, ...]:
-    """Return the preview that a policy's observations need, its attribute `preview`; most policies need none."""
+    """Return the preview that a policy requires, its attribute `preview`; empty if it has none."""
     return tuple(getattr(policy, "preview", ()))
 
 
 def corrected(base: Number, authority: Number, correction: Number, ns: Namespace) -> Number:
-    """Return the command of residual control, clip(base + authority * clip(correction)): surge, yaw, or both at once.
+    """Return the command of residual control, clip(base + authority * clip(correction)), for surge, yaw or both.
 
     Args:
         base: the expert's action, in [-1, 1].
         authority: largest correction.
-        correction: of the learner; 1 is the largest.
-        ns: the namespace of the numbers, which may have any shapes that fit together.
+        correction: action of the agent; 1 is the largest correction.
+        ns: the namespace of the numbers, whose shapes are broadcast.
     """
     return ns.clip(base + authority * ns.clip(correction, -1.0, 1.0), -1.0, 1.0)
 
@@ -125,7 +125,7 @@ def checked_authority(authority: float | Sequence[float]) -> tuple[float, float]
     """Return the largest correction of surge and yaw command as a pair.
 
     Raises:
-        ValueError: it is neither a number nor a pair, or not in (0, 2].
+        ValueError: it is neither a number nor a pair, or is not in (0, 2].
     """
     pair = tuple(authority) if isinstance(authority, Sequence) else (authority, authority)
     if len(pair) != 2 or not all(isinstance(a, (int, float)) and 0 < a <= 2 for a in pair):

@@ -1,6 +1,6 @@
-"""One control step of the whole simulation, composed of the parts of vehicle, actuators, sensors and task.
+"""One control step of the simulation: vehicle, actuators, sensors, observation and reward.
 
-A pure function of (plant, action, sample) on components: the scalar, the vector and the torch environment all run it.
+It is a pure function of (plant, action, sample) on components, and is used by the scalar, vector and torch environment.
 """
 
 from __future__ import annotations
@@ -9,21 +9,21 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from auv_gym.physics.actuators import Response, ordered, respond, told_torque
+from auv_gym.physics.actuators import Response, known_torque, ordered, respond
 from auv_gym.physics.dynamics import CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body, to_world, tracking_errors
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.physics.sensors import low_pass
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.physics.vehicle import Coefficients, CrossFlow
 from auv_gym.task.observation import failed, reward
 
 
 class PlantMemory(NamedTuple):
-    """What sensors and commands remember; zero where it is not in use."""
+    """The memory of sensors and delayed commands; zero if not in use."""
 
-    x_e: Number  # [m] tracking errors behind the low-pass
+    x_e: Number  # [m] low-pass filtered tracking errors
     y_e: Number  # [m]
     psi_e: Number  # [rad]
     u_e: Number  # [m/s]
@@ -31,14 +31,14 @@ class PlantMemory(NamedTuple):
     r_e: Number  # [rad/s]
     x: Number  # [m] last position fix, or the estimated position
     y: Number  # [m]
-    a_u_2: Number  # the action before the plant's a_u, a_r
+    a_u_2: Number  # action of the control step before a_u, a_r of the plant
     a_r_2: Number
-    a_u_3: Number  # the one before that
+    a_u_3: Number  # action of the control step before a_u_2, a_r_2
     a_r_3: Number
 
 
 class Plant(NamedTuple):
-    """Vehicle, actuators, and what is remembered at one control instant: floats, arrays (N,) or tensors."""
+    """The states of vehicle, actuators and memory at one control instant: floats, arrays (N,) or tensors."""
 
     x: Number  # [m]
     y: Number  # [m]
@@ -54,7 +54,7 @@ class Plant(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What the outside supplies at one control instant; current and load act over the period that ends there."""
+    """The exogenous inputs at one control instant; current and load act over the period that ends there."""
 
     x_R: Number  # [m] reference
     y_R: Number  # [m]
@@ -64,7 +64,7 @@ class Sample(NamedTuple):
     r_R: Number  # [rad/s]
     F_uR: Number  # [N]
     F_rR: Number  # [N m]
-    V_x: Number  # [m/s] current, but for the shear
+    V_x: Number  # [m/s] current without shear
     V_y: Number  # [m/s]
     X: Number  # [N] external load
     Y: Number  # [N]
@@ -75,26 +75,27 @@ class Sample(NamedTuple):
     n_u: Number  # [m/s]
     n_v: Number  # [m/s]
     n_r: Number  # [rad/s]
-    fix: Number  # 1 where there is a position fix, else 0; with dead reckoning what share of it is taken on
+    fix: Number  # 1 with a position fix, else 0; with dead reckoning the gain of the fix
 
 
 class Parts(NamedTuple):
-    """Which parts of the simulation are in use anywhere: constants, so that what is not used costs nothing."""
+    """The parts of the simulation in use. They are constants of the compiled code, so unused parts cost no time."""
 
-    substeps: int = 1  # integration steps in a control period
-    filtered: bool = False  # a low-pass on the measured errors
-    outages: bool = False  # position fixes fail
-    delayed: bool = False  # commands come late
-    weak: bool = False  # the actuators saturate below their limits
-    sheared: bool = False  # the current differs from place to place
-    reckoned: bool = False  # between position fixes the position is reckoned from measured velocity and heading
-    lifting: bool = False  # hull and fins have lift
-    finned: bool = False  # the yaw torque is one of fins, which the speed makes
-    astern: bool = False  # the thruster gives less astern than ahead
-    span: int = 1  # how much wider than usual the bounds of an observation are, see `task.bounds`
+    substeps: int = 1  # integration steps per control period
+    filtered: bool = False  # low-pass filter of the measured errors
+    outages: bool = False  # outages of the position fix
+    delayed: bool = False  # delay of commands
+    weak: bool = False  # saturation of the actuators below their nominal limits
+    sheared: bool = False  # current that depends on the position
+    reckoned: bool = False  # dead reckoning between position fixes
+    lifting: bool = False  # lift of the vehicle
+    crossed: bool = False  # cross-flow of the vehicle
+    finned: bool = False  # yaw torque of fins, which depends on the speed
+    astern: bool = False  # smaller thrust astern than ahead
+    span: int = 1  # factor of the bounds of an observation, see `observation.bounds`
 
     def joined(self, other: Parts) -> Parts:
-        """Return what is in use here or there, and the larger number of integration steps."""
+        """Return the union of the parts in use, with the larger number of integration steps."""
         return Parts._make(map(max, self, other))
 
 
@@ -108,25 +109,25 @@ class Shear(NamedTuple):
     phase: Number  # [rad]
 
     def velocity(self, x: Number, y: Number, ns: Namespace) -> tuple[Number, Number]:
-        """Return what it adds to the current [m/s] at a place [m]."""
-        swing = ns.sin(self.k_x * x + self.k_y * y + self.phase)
-        return self.V_x * swing, self.V_y * swing
+        """Return its velocity [m/s] at a position [m]."""
+        s = ns.sin(self.k_x * x + self.k_y * y + self.phase)
+        return self.V_x * s, self.V_y * s
 
 
 class SpeedLog(NamedTuple):
-    """What a Doppler log makes of a velocity over ground: floats, or rows of shape (N,)."""
+    """The systematic errors of a Doppler velocity log: floats, or rows of shape (N,)."""
 
-    reckons: Number  # 1 where the position is reckoned between fixes, 0 where the last fix stays
-    along: Number  # what is measured of a velocity in its own direction, (1 + scale error) cos(misalignment)
-    across: Number  # and to the right of it, (1 + scale error) sin(misalignment)
+    reckons: Number  # 1 with dead reckoning between fixes, 0 if the last fix is held
+    along: Number  # gain in the direction of the velocity, (1 + scale error) cos(misalignment)
+    across: Number  # gain to the right of it, (1 + scale error) sin(misalignment)
 
     def measured(self, along: Number, across: Number) -> tuple[Number, Number]:
-        """Return a velocity [m/s] or displacement [m] as it is measured, but for noise."""
+        """Return a measured velocity [m/s] or displacement [m], without noise."""
         return to_world(along, across, self.along, self.across)
 
 
 def log_of(reckoning: Reckoning | None) -> SpeedLog:
-    """Return the constants of an episode's log; None stands for one that measures exactly and is not reckoned from."""
+    """Return the log of an episode; for None one without errors, which is not used for dead reckoning."""
     if reckoning is None:
         return SpeedLog(0.0, 1.0, 0.0)
     share, angle = 1.0 + reckoning.scale, reckoning.misalignment
@@ -138,85 +139,88 @@ class Parameters(NamedTuple):
 
     h: Number  # [s] integration step
     coefficients: Coefficients  # of the true vehicle
-    F_u_max: Number  # [N] that action 1 commands, as observed
+    F_u_max: Number  # [N] force that action 1 commands, as observed
     F_r_max: Number  # [N m]
     response: Response
     filter_gain: Number
     error_scale: Number  # [m]
     rate_weight: Number
     lost_distance: Number  # [m]
-    thrust_u: Number  # [N] that action 1 really gives
+    thrust_u: Number  # [N] true force at action 1
     thrust_r: Number  # [N m]
-    reach_u: Number  # action at which the surge actuator really saturates
+    reach_u: Number  # action at which the surge actuator saturates
     reach_r: Number
     delay: Number  # control periods until a command acts
-    fin: Number  # [kg] of the fins, see `actuators.Actuators`
-    astern: Number  # share of thrust_u astern
+    fin: Number  # [kg] parameter of the fins, see `actuators.Actuators`
+    astern: Number  # largest thrust astern over thrust_u
     shear: Shear
     log: SpeedLog
+    cross_flow: CrossFlow  # of the true vehicle
     parts: Parts
 
     @classmethod
     def of(cls, rows: Sequence[Number], parts: Parts) -> Parameters:
-        """Return the parameters whose numbers are given in the order of the fields."""
+        """Return the parameters for their numbers in the order of the fields."""
         return filled(PARAMETERS, rows)._replace(parts=parts)
 
 
-PLANT = numbered(Plant)  # the place of every number of a plant in the row of them
-SAMPLE = numbered(Sample)  # the place of every number of a sample: `SAMPLE.V_x` is that of the current's first one
-PARAMETERS = numbered(Parameters)  # the place of every number of the parameters in the row of them
-PLANT_ROWS = len(leaves(PLANT))  # how many numbers a plant has
-SAMPLE_ROWS = len(leaves(SAMPLE))  # how many numbers a sample has
-PARAMETER_ROWS = len(leaves(PARAMETERS))  # how many numbers the parameters have
-REFERENCE = slice(SAMPLE.x_R, SAMPLE.F_rR + 1)  # the part of a sample that is the reference, x_R ... F_rR
-CURRENT = slice(SAMPLE.V_x, SAMPLE.V_y + 1)  # the part of a sample that is the current, V_x, V_y
-LOAD = slice(SAMPLE.X, SAMPLE.N + 1)  # the part of a sample that is the external load, X, Y, N
-NOISE = slice(SAMPLE.n_x, SAMPLE.n_r + 1)  # the part of a sample that is the measurement errors, n_x ... n_r
+PLANT = numbered(Plant)  # index of each number of a plant
+SAMPLE = numbered(Sample)  # index of each number of a sample: `SAMPLE.V_x` is that of the current V_x
+PARAMETERS = numbered(Parameters)  # index of each number of the parameters
+PLANT_ROWS = len(leaves(PLANT))  # number of rows of a plant
+SAMPLE_ROWS = len(leaves(SAMPLE))  # number of rows of a sample
+PARAMETER_ROWS = len(leaves(PARAMETERS))  # number of rows of the parameters
+REFERENCE = slice(SAMPLE.x_R, SAMPLE.F_rR + 1)  # rows of the reference in a sample
+CURRENT = slice(SAMPLE.V_x, SAMPLE.V_y + 1)  # rows of the current in a sample
+LOAD = slice(SAMPLE.X, SAMPLE.N + 1)  # rows of the external load in a sample
+NOISE = slice(SAMPLE.n_x, SAMPLE.n_r + 1)  # rows of the measurement errors in a sample
 
 _new = tuple.__new__
-"""Makes a named tuple of a plain one at a fourth of the cost."""
+"""Makes a named tuple of a tuple in a quarter of the time."""
 
 Position: TypeAlias = tuple[Number, Number]
-"""A place x, y [m] in the world."""
+"""A position x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
-"""The observation in SI units, in the order of `task.TERMS`."""
+"""The observation in SI units, in the order of `observation.TERMS`."""
 StepOutcome: TypeAlias = tuple[Number, Number, Number, Number]
-"""Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
+"""Reward; whether the episode has failed; squared position error [m^2]; whether a command was at its limit."""
 
 
 def start(state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) -> tuple[Plant, Terms]:
-    """Return the plant with its actuators at rest, and the first observation; the low-pass starts on its input."""
+    """Return the plant with actuators at rest, and the first observation; the low-pass starts at its input."""
     zero = state[0] * 0.0
-    nothing = filled(PLANT.memory, (zero,) * PLANT_ROWS)
-    memory, terms = _observe(state, state, (zero, zero), nothing, sample, p._replace(filter_gain=1.0), ns)
+    empty = filled(PLANT.memory, (zero,) * PLANT_ROWS)
+    memory, terms = _observe(state, state, (zero, zero), empty, sample, p._replace(filter_gain=1.0), ns)
     return Plant(*state, zero, zero, zero, zero, memory), terms
 
 
 def moved(
     state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
 ) -> tuple[State, Force]:
-    """Return state and actuators' forces [N], [N m] one control period later.
+    """Return the state and the actuator forces [N], [N m] one control period later.
 
     Args:
         state: x, y, psi, u, v, r, relative to the water.
         force: of the actuators.
-        command: what reaches the actuators, as fractions of what action 1 gives.
+        command: of the actuators, as fractions of the force at action 1.
         sample: the numbers of a `Sample`, see `step`.
-        p: the episode's constants.
+        p: the constants of the episode.
         ns: the namespace of the numbers.
     """
     x, y, _, u, *_ = state
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
     mean, force = respond(force, ordered(command, u, p, ns), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
-    coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    coefficients: Sequence[Number] = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    if p.parts.crossed:
+        coefficients = *p.coefficients, *p.cross_flow
     for _ in range(p.parts.substeps):
         state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force
 
 
 MotionStep: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
-"""Moves a vehicle by a control period, as `moved` does."""
+"""A function with the interface of `moved`."""
 
 
 def step(
@@ -227,21 +231,21 @@ def step(
     ns: Namespace,
     move: MotionStep = moved,
 ) -> tuple[Plant, Terms, StepOutcome]:
-    """Return the plant one control period later, what is observed of it, and what the task makes of it.
+    """Return the plant one control period later, its observation, and the outcome of the step.
 
     Args:
-        plant: before.
+        plant: the plant before the step.
         action: surge and yaw command as fractions of the limits; clipped to [-1, 1].
-        sample: the outside at the end of the period, the numbers of a `Sample`.
-        p: the episode's constants.
+        sample: the exogenous inputs at the end of the period, the numbers of a `Sample`.
+        p: the constants of the episode.
         ns: the namespace of the numbers.
-        move: what moves the vehicle, in place of the equations of motion.
+        move: the motion of vehicle and actuators, by default by the equations of motion.
     """
     before, (F_u, F_r, a_u0, a_r0, memory), parts = plant[:6], plant[6:], p.parts
     a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
     command_u, command_r = a_u, a_r
     if parts.delayed:
-        command_u, command_r, memory = _late((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
+        command_u, command_r, memory = _delayed((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
     if parts.weak:
         command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
     state, (F_u, F_r) = move(before, (F_u, F_r), (command_u, command_r), sample, p, ns)
@@ -259,25 +263,25 @@ def step(
 
 
 def current_at(x: Number, y: Number, current: CurrentVelocity, p: Parameters, ns: Namespace) -> CurrentVelocity:
-    """Return V_x, V_y [m/s] of the water at a place, for the current of the sample."""
+    """Return the current V_x, V_y [m/s] at a position, for the current of the sample."""
     if not p.parts.sheared:
         return current
-    more_x, more_y = p.shear.velocity(x, y, ns)
-    return current[0] + more_x, current[1] + more_y
+    shear_x, shear_y = p.shear.velocity(x, y, ns)
+    return current[0] + shear_x, current[1] + shear_y
 
 
-def _late(
+def _delayed(
     action: Force, last: Force, memory: PlantMemory, delay: Number, ns: Namespace
 ) -> tuple[Number, Number, PlantMemory]:
-    """Return the action of `delay` control periods ago, and the memory with the last one."""
+    """Return the action `delay` control periods earlier, and the memory with the last action."""
 
     def chosen(now: Number, one: Number, two: Number, three: Number) -> Number:
         return ns.where(delay < 0.5, now, ns.where(delay < 1.5, one, ns.where(delay < 2.5, two, three)))
 
-    late_u = chosen(action[0], last[0], memory.a_u_2, memory.a_u_3)
-    late_r = chosen(action[1], last[1], memory.a_r_2, memory.a_r_3)
-    remembered = memory._replace(a_u_2=last[0], a_r_2=last[1], a_u_3=memory.a_u_2, a_r_3=memory.a_r_2)
-    return late_u, late_r, remembered
+    delayed_u = chosen(action[0], last[0], memory.a_u_2, memory.a_u_3)
+    delayed_r = chosen(action[1], last[1], memory.a_r_2, memory.a_r_3)
+    shifted = memory._replace(a_u_2=last[0], a_r_2=last[1], a_u_3=memory.a_u_2, a_r_3=memory.a_r_2)
+    return delayed_u, delayed_r, shifted
 
 
 def _observe(
@@ -289,9 +293,9 @@ def _observe(
     p: Parameters,
     ns: Namespace,
 ) -> tuple[PlantMemory, Terms]:
-    """Return what the sensors remember now, in the plant's memory, and the observation.
+    """Return the memory with the new values of the sensors, and the observation.
 
-    `before` is the state one control period ago.
+    `before` is the state one control period earlier.
     """
     x, y, psi, u, v, r = state
     x_R, y_R, psi_R, u_R, v_R, r_R, F_uR, F_rR, V_x, V_y, _, _, _, n_x, n_y, n_psi, n_u, n_v, n_r, fix = sample
@@ -316,7 +320,7 @@ def _observe(
     cos_psi, sin_psi = ns.cos(psi_m), ns.sin(psi_m)
     e_x, e_y = to_body(x_e, y_e, cos_psi, sin_psi)
     a_u, a_r = action
-    F_r_max = told_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
+    F_r_max = known_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
     return memory, (
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
         cos_psi, sin_psi, p.F_u_max, F_r_max, a_u, a_r, p.h * parts.substeps,
@@ -332,32 +336,32 @@ def estimated_position(
     p: Parameters,
     ns: Namespace,
 ) -> Position:
-    """Return where dead reckoning and position fixes put the vehicle.
+    """Return the position [m] estimated by dead reckoning and position fixes.
 
-    The way that the log measured is laid off along the measured heading: last + R(n_psi) D (position - before)
-    + R(psi_m) (n_u, n_v) dt, with R a rotation and D that of `_Log`; a heading that is wrong by n_psi turns the way by
-    it. Of a fix, position + (n_x, n_y), the estimate takes on the share `fix`.
+    The dead-reckoned position is last + R(n_psi) D (position - before) + R(psi_m) (n_u, n_v) dt, with rotations R and
+    the gains D of `SpeedLog`: the heading error n_psi rotates the measured displacement. A fix, position + (n_x, n_y),
+    is weighted by the gain `fix`, the dead-reckoned position by 1 - `fix`.
 
     Args:
-        position: x, y [m] of the vehicle.
-        before: the same one control period ago.
+        position: true x, y [m].
+        before: true x, y one control period earlier [m].
         psi_m: measured heading [rad].
-        last: the estimate one control period ago [m].
+        last: the estimate one control period earlier [m].
         sample: the numbers of a `Sample`.
-        p: the episode's constants.
+        p: the constants of the episode.
         ns: the namespace of the numbers.
     """
     _, _, _, _, _, _, _, _, _, _, _, _, _, n_x, n_y, n_psi, n_u, n_v, _, fix = sample
     (x, y), (x_0, y_0), dt, rest = position, before, p.h * p.parts.substeps, 1.0 - fix
-    way_x, way_y = to_world(*p.log.measured(x - x_0, y - y_0), ns.cos(n_psi), ns.sin(n_psi))
+    dx, dy = to_world(*p.log.measured(x - x_0, y - y_0), ns.cos(n_psi), ns.sin(n_psi))
     noise_x, noise_y = to_world(n_u * dt, n_v * dt, ns.cos(psi_m), ns.sin(psi_m))
-    reckoned_x = last[0] + p.log.reckons * (way_x + noise_x)
-    reckoned_y = last[1] + p.log.reckons * (way_y + noise_y)
+    reckoned_x = last[0] + p.log.reckons * (dx + noise_x)
+    reckoned_y = last[1] + p.log.reckons * (dy + noise_y)
     return rest * reckoned_x + fix * (x + n_x), rest * reckoned_y + fix * (y + n_y)
 
 
 def ground_state(plant: Plant, current: CurrentVelocity, p: Parameters, ns: Namespace) -> State:
-    """Return x, y, psi and r as they are, and u, v over ground, for the current of the sample."""
+    """Return x, y, psi, u, v over ground and r, for the current of the sample."""
     x, y, psi, u, v, r, *_ = plant
     V_u, V_v = to_body(*current_at(x, y, current, p, ns), ns.cos(psi), ns.sin(psi))
     return x, y, psi, u + V_u, v + V_v, r

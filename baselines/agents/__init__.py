@@ -1,1 +1,1 @@
-"""Trained agents: what they are on disk, what they see, how they act."""
+"""Trained agents: their files, features, networks and actions; policies from other files."""

@@ -1,8 +1,8 @@
-"""A trained agent as an artefact: a folder with weights, their description and a model card; no code is run to load it.
+"""Trained agents and their folders. Loading an agent runs no code.
 
 weights.safetensors   the network's weights
-agent.json            what they are: network, features, observation, expert, authority, scenarios, how it was trained
-card.md               the same for people; learning_curve.png beside it, if there is one
+agent.json            network, features, observation, expert, authority, scenarios, training
+card.md               the same as text; learning_curve.png beside it, if there is one
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ _FORMAT = 2
 WEIGHTS = "weights.safetensors"  # file of the network's arrays
 AGENT_FILE = "agent.json"  # file of everything else, see `ENTRIES`
 _SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
-"""Reference speeds [m/s] at which agents of a regime are at home; between .2 and .5 both are."""
+"""Reference speeds [m/s] for which agents of a speed range are trained; both cover 0.2 to 0.5 m/s."""
 CARD = "card.md"  # file of the description
-OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # what an observation is, by term, in its order
+OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # name and scale of each term of an observation
 ENTRIES = (  # of agent.json
     "format",
     "network",
@@ -59,7 +59,7 @@ ENTRIES = (  # of agent.json
 
 @dataclass(frozen=True)
 class Agent:
-    """A network that corrects an expert, and where it comes from.
+    """A network that corrects an expert, with a record of its training.
 
     Raises:
         ValueError: the weights do not fit the network, the expert is a path, an authority is not in (0, 2], or the
@@ -70,9 +70,9 @@ class Agent:
     weights: Weights  # see `network.shapes`
     expert: str  # the name of a policy, or `NO_EXPERT`
     authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
-    scenarios: tuple[str, ...] = ()  # names of what it was trained on
+    scenarios: tuple[str, ...] = ()  # names of the training scenarios
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
-    region: tuple[float, ...] | None = None  # of the errors in its validation episodes, see `residual_policy.trust`
+    region: tuple[float, ...] | None = None  # bounds of the errors in validation, see `residual_policy.trust`
     inputs: Inputs = STANDARD
 
     def __post_init__(self) -> None:
@@ -89,46 +89,46 @@ class Agent:
         check_weights(self.network, self.weights)
 
     def policy(self, fade: bool = False, vehicle: Vehicle | None = None, precision: str = "float64") -> Policy:
-        """Return the policy: expert and network together.
+        """Return the policy: expert plus correction of the network.
 
         Args:
-            fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
-                training; at twice its size nothing of them is left.
-            vehicle: what the expert believes in, and what a network with `Inputs.hull` is told. None: the paper's.
+            fade: reduce the correction if an error leaves the region of the training. The correction is zero if an
+                error is twice as large as the region or larger.
+            vehicle: nominal model of the expert, and an input of a network with `Inputs.hull`. None: the paper's.
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:
-            ValueError: see `make_expert`; or corrections are to fade and there is no expert, or no known region.
+            ValueError: see `make_expert`; or `fade` is set and the agent has no expert or no region.
         """
         if fade and self.expert == NO_EXPERT:
-            raise ValueError("the agent commands without an expert, so there is nothing that it could fade to")
+            raise ValueError("the agent has no expert, so its corrections cannot fade to an expert's action")
         if fade and self.region is None:
-            raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
+            raise ValueError("the agent has no region of its training, so it cannot fade; train it again")
         expert = make_expert(self.expert, vehicle=vehicle)
         region = self.region if fade else None
-        hull = (vehicle or PAPER_VEHICLE).coefficients
+        coefficients = (vehicle or PAPER_VEHICLE).coefficients
         own = {name.partition("-")[0] for name in self.scenarios}
         speeds = _SPEEDS[own.pop()] if len(own) == 1 and own <= set(_SPEEDS) else (0.0, math.inf)
         return ResidualPolicy(
-            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds, hull
+            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds, coefficients
         )
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
-        """Write the agent to a folder, in place of what is there; it appears complete or not at all.
+        """Write the agent to a folder and replace an older one; the folder is never incomplete.
 
         Args:
             folder: an agent's, or one that does not exist yet.
             curve: the learning curve, a PNG image.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the folder cannot be written.
             ValueError: the folder holds something other than an agent.
         """
         from safetensors.numpy import save
 
         folder = Path(folder)
         if folder.exists() and not (folder / AGENT_FILE).is_file():
-            raise ValueError(f"{folder} exists and is no agent's folder; choose another one")
+            raise ValueError(f"{folder} exists and is not an agent's folder; choose another one")
         weights = save({name: np.ascontiguousarray(w, dtype=np.float32) for name, w in self.weights.items()})
         record = self._record(weights)
         files = {
@@ -159,14 +159,14 @@ class Agent:
 
         Raises:
             OSError: a file cannot be read.
-            ValueError: a file is damaged, or of another version; the message says which.
+            ValueError: a file is damaged, or of another version; the message names it.
         """
         folder = Path(folder)
         with guarded(f"agent {folder}"):
             record = _checked_record(read_json(folder / AGENT_FILE))
             data = read_bytes(folder / WEIGHTS)
             if hashlib.sha256(data).hexdigest() != record["weights_sha256"]:
-                raise ValueError(f"{WEIGHTS} is not what {AGENT_FILE} describes: its SHA-256 differs")
+                raise ValueError(f"{WEIGHTS} does not belong to {AGENT_FILE}: its SHA-256 differs")
             return cls(
                 network_of(record["network"]),
                 _weights(data),
@@ -180,22 +180,22 @@ class Agent:
 
 
 def check_expert(name: Any) -> None:
-    """Raise ValueError unless an expert is named as an agent may name it."""
+    """Raise ValueError unless a name may be that of an agent's expert."""
     if not isinstance(name, str) or is_path(name):
         raise ValueError(f"expert is {name!r}; an agent's expert must be a policy's name, since paths run code")
     if name in POLICIES and isinstance(POLICIES[name][0], Privileged):
-        raise ValueError(f"expert {name!r} looks behind the observation; choose one that does not")
+        raise ValueError(f"expert {name!r} needs full information; choose one that uses the observation only")
 
 
 def make_expert(name: str, vehicle: Vehicle | None = None) -> Policy:
-    """Return the policy whose action is corrected: a controller or an agent by name, or none at all for `NO_EXPERT`.
+    """Return the expert of a name: a controller, an agent, or for `NO_EXPERT` a policy whose action is zero.
 
     Args:
-        name: the policy's.
-        vehicle: the one that it believes in. None: the paper's.
+        name: of the policy.
+        vehicle: nominal model of the policy. None: the paper's.
 
     Raises:
-        ValueError: it is unknown, or may not be an expert: a path, or one that looks behind the observation.
+        ValueError: the name is unknown, or the policy may not be an expert: a path, or one that needs full information.
     """
     check_expert(name)
     if name == NO_EXPERT:
@@ -206,7 +206,7 @@ def make_expert(name: str, vehicle: Vehicle | None = None) -> Policy:
 
 
 def feature_layout(inputs: Inputs) -> list[list[str]]:
-    """Return name and scale of each feature, as an agent's description holds them."""
+    """Return name and scale of each feature, as in an agent's description."""
     return [[f.name, f.scale] for f in inputs.features]
 
 
@@ -219,7 +219,7 @@ def _checked_record(record: Any) -> dict[str, Any]:
     features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
     for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
         if record[name] != layout:
-            raise ValueError(f"it was trained on other {name} than this version has; train it again")
+            raise ValueError(f"it was trained with other {name} than those of this version; train it again")
     if not isinstance(record["training"], dict):
         raise ValueError(f"{AGENT_FILE}: training must be a table")
     if not isinstance(record["region"], (list, type(None))):
@@ -242,12 +242,12 @@ def _weights(data: bytes) -> dict[str, NDArray[np.float32]]:
     try:
         weights: dict[str, NDArray[np.float32]] = load(data)
     except (SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{WEIGHTS} is no safetensors file: {error}") from error
+        raise ValueError(f"{WEIGHTS} is not a safetensors file: {error}") from error
     return weights
 
 
 def _replace(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Put a folder with these files in place of what is there."""
+    """Replace a folder by one with these files."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
         new, old = Path(temporary) / "new", Path(temporary) / "old"

@@ -1,8 +1,7 @@
-"""What a trained policy sees: an observation and its expert's action, scaled by what is observed, plus slow memory.
+"""Features of a network: a scaled observation, the expert's action, integrals of the error and estimates.
 
-One copy of the equations for NumPy rows and torch tensors. Lengths are in units of the way that the reference covers in
-a second and forces in units of the actuators' limits, so one network can learn every speed; those that
-ship with the package have learned one regime each.
+The equations accept NumPy rows and torch tensors. Lengths are in units of the distance that the reference covers in a
+second, and forces in units of the actuators' limits. One network can thus learn every speed.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ from baselines.policy import reference_speed
 
 LARGEST_FEATURE = 8.0
 """Largest magnitude of a feature."""
-FAST = 0.1  # [1/s] at which the fast integral of the position error forgets
-SLOW = 0.015  # [1/s] at which the slow integral of the position error forgets
-_FAR = 4.0
-"""Largest position error that is integrated, in units of U * 1 s: a vehicle that is lost must not wind them up."""
+FAST = 0.1  # [1/s] decay rate of the fast integral of the position error
+SLOW = 0.015  # [1/s] decay rate of the slow integral of the position error
+_LARGEST_ERROR = 4.0
+"""Largest position error that is integrated, in units of U * 1 s; it limits the integrator windup."""
 
 
 class Feature(NamedTuple):
-    """One entry of the policy's input: the quantity divided by `scale`, clipped to +-`LARGEST_FEATURE`."""
+    """One input of a network: the quantity divided by `scale`, clipped to +-`LARGEST_FEATURE`."""
 
     name: str
     unit: str
@@ -37,7 +36,7 @@ class Feature(NamedTuple):
     meaning: str
 
 
-FEATURES = (  # what a network sees, in its order
+FEATURES = (  # standard inputs of a network, in their order
     Feature("e_x", "m", "U * 1 s", "measured position error along the body's surge axis"),
     Feature("e_y", "m", "U * 1 s", "the same along the sway axis"),
     Feature("psi_e", "rad", "0.5 rad", "measured heading error"),
@@ -51,9 +50,9 @@ FEATURES = (  # what a network sees, in its order
     Feature("F_rR", "N m", "F_r_max", "reference yaw torque"),
     Feature("base_u", "1", "1", "the expert's action, surge"),
     Feature("base_r", "1", "1", "the expert's action, yaw"),
-    Feature("fast_x", "m s", "U * 4 s^2", "integral of the position error in the world, forgotten at FAST, surge axis"),
+    Feature("fast_x", "m s", "U * 4 s^2", "integral of the position error in the world, decay rate FAST, surge axis"),
     Feature("fast_y", "m s", "U * 4 s^2", "the same along the sway axis"),
-    Feature("slow_x", "m s", "U * 10 s^2", "integral forgotten at SLOW, surge axis"),
+    Feature("slow_x", "m s", "U * 10 s^2", "the same integral with the decay rate SLOW, surge axis"),
     Feature("slow_y", "m s", "U * 10 s^2", "the same along the sway axis"),
     Feature("c_u", "1", "1", "previous correction, surge, in [-1, 1]"),
     Feature("c_r", "1", "1", "previous correction, yaw"),
@@ -65,15 +64,15 @@ FEATURES = (  # what a network sees, in its order
 )
 _SUMS = slice(13, 17)  # the integrals among them
 ERROR_FEATURES = 6
-"""How many of the features, the first ones, are errors of the vehicle."""
+"""Number of features that are tracking errors; they come first."""
 INTEGRALS = 4
-"""Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
+"""Number of rows of the integrals' memory: two integrals in units of U * 1 s, each with x and y in the world."""
 
 
 _FINE = 100.0
-"""How much larger small errors are seen by `fine`, beside errors of 1."""
-LOADS = tuple(name for name in filters.REMEMBERED if name[0] in "XYN" and name not in ("x_e", "y_e"))
-"""Entries of a filter's estimate that are loads on the hull."""
+"""Ratio of the slope of `fine` at zero to its slope for large values, about."""
+LOADS = tuple(name for name in filters.MEMORY_ENTRIES if name[0] in "XYN" and name not in ("x_e", "y_e"))
+"""Entries of a filter's estimate that are loads on the vehicle."""
 
 
 def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
@@ -85,17 +84,17 @@ def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Which features a network sees: `FEATURES`, and behind them those of a preview.
+    """The features of a network: `FEATURES`, then those of the preview and of the options.
 
     Raises:
-        ValueError: see `auv_gym.task.preview.checked_preview`; or `integrals` is no bool.
+        ValueError: see `auv_gym.task.preview.checked_preview`; or another entry is not a bool.
     """
 
     preview: tuple[int, ...] = ()  # control periods ahead
-    integrals: bool = True  # whether the integrals of the position error are among them
-    fine: bool = False  # whether the errors are seen on finer scales too
-    filters: bool = False  # whether what `filters.filtered` believes is among them
-    hull: bool = False  # whether the known vehicle is among them, and what the filters believe in
+    integrals: bool = True  # include the integrals of the position error
+    fine: bool = False  # include the errors on finer scales
+    filters: bool = False  # include the estimates of `filters.filter_step`
+    hull: bool = False  # include the nominal vehicle, and use it as model of the filters
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preview", checked_preview(self.preview))
@@ -106,15 +105,15 @@ class Inputs:
     @property
     def features(self) -> tuple[Feature, ...]:
         """The features, one for each row of `update`."""
-        known = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
-        known += tuple(feature for periods in self.preview for feature in _ahead(periods))
-        known += FINE_FEATURES if self.fine else ()
-        known += FILTER_FEATURES if self.filters else ()
-        return known + (HULL_FEATURES if self.hull else ())
+        features = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
+        features += tuple(feature for periods in self.preview for feature in _preview_features(periods))
+        features += FINE_FEATURES if self.fine else ()
+        features += FILTER_FEATURES if self.filters else ()
+        return features + (VEHICLE_FEATURES if self.hull else ())
 
     @property
     def memory(self) -> int:
-        """How many rows are remembered from one control instant to the next."""
+        """Number of rows of the memory."""
         return INTEGRALS + (filters.ROWS if self.filters else 0)
 
     def update(
@@ -123,25 +122,26 @@ class Inputs:
         ahead: Sequence[Number],
         base: Iterable[Number],
         correction: Iterable[Number],
-        integrals: Iterable[Number],
+        memory: Iterable[Number],
         ns: Namespace,
-        hull: Coefficients = PAPER_VEHICLE.coefficients,
+        coefficients: Coefficients = PAPER_VEHICLE.coefficients,
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """Return the features, one row for each, and the integrals to hand in at the next control instant.
+        """Return the features, one row for each, and the new memory.
 
         Args:
             o: the terms of an observation in SI units, see `auv_gym.task.observation.TERMS`.
             ahead: the columns of the preview [m], two for each of its times, see `auv_gym.task.preview.Preview`.
             base: the expert's action at this instant, surge and yaw.
-            correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
-            integrals: what is remembered, `memory` rows as the last call returned them; zero at an episode's start.
+            correction: the previous output of the network, surge and yaw; zero at the start of an episode.
+            memory: `Inputs.memory` rows from the previous call; zero at the start of an episode.
             ns: the namespace of the numbers.
-            hull: the known vehicle in the paper's units (`auv_gym.physics.units`); not used without `Inputs.hull`.
+            coefficients: of the nominal vehicle in the paper's units (`auv_gym.physics.units`); not used without
+                `Inputs.hull`.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
-        (x1, y1, x2, y2), rest = (kept := tuple(integrals))[:INTEGRALS], kept[INTEGRALS:]
+        (x1, y1, x2, y2), rest = (before := tuple(memory))[:INTEGRALS], before[INTEGRALS:]
         errors = scaled_errors(o, ns)
-        x, y = (ns.clip(e, -_FAR, _FAR) for e in errors[:2])
+        x, y = (ns.clip(e, -_LARGEST_ERROR, _LARGEST_ERROR) for e in errors[:2])
         x, y = to_world(x, y, c, s)
         x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
         x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
@@ -149,8 +149,8 @@ class Inputs:
         slow_x, slow_y = to_body(x2, y2, c, s)
         per_U = 1 / reference_speed(u_R, v_R, ns)
         sums = (0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y) if self.integrals else ()
-        straight = (per_U / (periods * dt) for periods in self.preview)
-        later = zip(straight, ahead[::2], ahead[1::2], strict=True)
+        scales = (per_U / (periods * dt) for periods in self.preview)
+        later = zip(scales, ahead[::2], ahead[1::2], strict=True)
         rows = (
             *errors, u_R, 4 * v_R * per_U, 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base, *sums,
             *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
@@ -159,19 +159,20 @@ class Inputs:
         if self.fine:
             rows += _fine(o[:ERROR_FEATURES], per_U, ns)
         if self.filters:
-            believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns, hull if self.hull else _PAPER)
-            rows += _believed(believed, Observation._make(o), per_U, ns)
+            model = coefficients if self.hull else _PAPER
+            output, rest = filters.filter_step(Observation._make(o), 1 / per_U, rest, ns, model)
+            rows += _filter_rows(output, Observation._make(o), per_U, ns)
         if self.hull:
-            rows += _known(hull)
+            rows += _vehicle_rows(coefficients)
         return tuple(ns.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE) for row in rows), (x1, y1, x2, y2, *rest)
 
 
 STANDARD = Inputs()
-"""What a network sees unless something else is asked for."""
+"""Default inputs of a network."""
 
 
 def fine(x: Number, ns: Namespace) -> Number:
-    """Return a quantity so that small values stand apart and large ones stay small: 50 x at zero, 5 at 1, 16 at 10."""
+    """Return 50 x / sqrt(1 + 100 |x|): the slope is 50 at zero; the value is 5 at x = 1 and 16 at x = 10."""
     return 0.5 * _FINE * x / ns.sqrt(1 + _FINE * abs(x))
 
 
@@ -182,12 +183,12 @@ def _fine(errors: Sequence[Number], per_U: Number, ns: Namespace) -> tuple[Numbe
     return (8 * scaled[0], 8 * scaled[1], 16 * e_x, 16 * e_y, *(fine(x, ns) for x in scaled))
 
 
-def _believed(believed: filters.Believed, o: Observation, per_U: Number, ns: Namespace) -> tuple[Number, ...]:
+def _filter_rows(output: filters.FilterOutput, o: Observation, per_U: Number, ns: Namespace) -> tuple[Number, ...]:
     """Return the rows of `FILTER_FEATURES`."""
-    rows: tuple[Number, ...] = (ns.where(believed.held, 1.0, 0.0),)
+    rows: tuple[Number, ...] = (ns.where(output.held, 1.0, 0.0),)
     limits = {"X": o.F_u_max, "Y": o.F_u_max, "N": o.F_r_max}
     psi_R = ns.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
-    for z in believed.estimates:
+    for z in output.estimates:
         e_x, e_y = to_body(z.x_e, z.y_e, o.cos_psi, o.sin_psi)
         _, _, _, u, v, _ = measurement(z, ns)
         errors = e_x, e_y, wrap_angle(z.psi - psi_R, ns), u - o.u_R, v - o.v_R, z.r - o.r_R
@@ -200,75 +201,73 @@ def _believed(believed: filters.Believed, o: Observation, per_U: Number, ns: Nam
     return rows
 
 
-def _ahead(periods: int) -> tuple[Feature, Feature]:
+def _preview_features(periods: int) -> tuple[Feature, Feature]:
     """Return the features of one time of a preview."""
-    what = f"the reference's way in the coming {periods} control periods"
+    what = f"displacement of the reference in the next {periods} control periods"
     scale = f"0.25 U * {periods} dt"
     return (
-        Feature(f"ahead_{periods}_x", "m", scale, f"{what} along the surge axis, less U * {periods} dt"),
+        Feature(f"ahead_{periods}_x", "m", scale, f"{what} along the surge axis, minus U * {periods} dt"),
         Feature(f"ahead_{periods}_y", "m", scale, f"{what} along the sway axis"),
     )
 
 
-def _fine_features(whose: str, what: str) -> tuple[Feature, ...]:
-    """Return the features that `_fine` gives."""
+def _fine_features(prefix: str, what: str) -> tuple[Feature, ...]:
+    """Return the features of the rows of `_fine`."""
     errors = {
         "e_x": ("m", " U * 1 s"), "e_y": ("m", " U * 1 s"), "psi_e": ("rad", " 1 rad"),
         "u_e": ("m/s", " U"), "v_e": ("m/s", " U"), "r_e": ("rad/s", " 1 rad/s"),
     }  # fmt: skip
     linear = (("", "U * 0.125 s"), ("_m", "0.0625 m"))
     return (
-        *(Feature(f"{whose}{e}8{m}", "m", scale, f"{what}: {e}") for m, scale in linear for e in ("e_x", "e_y")),
+        *(Feature(f"{prefix}{e}8{m}", "m", scale, f"{what}: {e}") for m, scale in linear for e in ("e_x", "e_y")),
         *(
-            Feature(f"{whose}{e}_fine", u, f"fine{scale}", f"{what}: {e}, see `fine`")
+            Feature(f"{prefix}{e}_fine", u, f"fine{scale}", f"{what}: {e}, see `fine`")
             for e, (u, scale) in errors.items()
         ),
     )
 
 
-def _filter_features(whose: str, what: str) -> tuple[Feature, ...]:
-    """Return the features that `_believed` gives of one filter."""
+def _filter_features(prefix: str, what: str) -> tuple[Feature, ...]:
+    """Return the features of one filter."""
     return (
-        *_fine_features(whose, what),
-        Feature(f"{whose}psi_e", "rad", "0.5 rad", f"{what}: heading error"),
-        Feature(f"{whose}u_e", "m/s", "0.5 U", f"{what}: surge velocity error, over ground"),
-        Feature(f"{whose}v_e", "m/s", "0.5 U", f"{what}: sway velocity error, over ground"),
-        Feature(f"{whose}V_u", "m/s", "0.25 U", f"{what}: current along the surge axis"),
-        Feature(f"{whose}V_v", "m/s", "0.25 U", f"{what}: current along the sway axis"),
-        Feature(f"{whose}F_u", "N", "F_u_max", f"{what}: force of the surge actuator"),
-        Feature(f"{whose}F_r", "N m", "F_r_max", f"{what}: torque of the yaw actuator"),
+        *_fine_features(prefix, what),
+        Feature(f"{prefix}psi_e", "rad", "0.5 rad", f"{what}: heading error"),
+        Feature(f"{prefix}u_e", "m/s", "0.5 U", f"{what}: surge velocity error, over ground"),
+        Feature(f"{prefix}v_e", "m/s", "0.5 U", f"{what}: sway velocity error, over ground"),
+        Feature(f"{prefix}V_u", "m/s", "0.25 U", f"{what}: current along the surge axis"),
+        Feature(f"{prefix}V_v", "m/s", "0.25 U", f"{what}: current along the sway axis"),
+        Feature(f"{prefix}F_u", "N", "F_u_max", f"{what}: force of the surge actuator"),
+        Feature(f"{prefix}F_r", "N m", "F_r_max", f"{what}: torque of the yaw actuator"),
         *(
-            Feature(whose + name, "N m" if name[0] == "N" else "N",
+            Feature(prefix + name, "N m" if name[0] == "N" else "N",
                     "0.0625 F_r_max" if name[0] == "N" else "0.0625 F_u_max", f"{what}: load {name}")
             for name in LOADS
         ),
     )  # fmt: skip
 
 
-def _known(hull: Coefficients) -> tuple[Number, ...]:
-    """Return the rows of `HULL_FEATURES`."""
-    h = hull
-    decades = (
-        h.d11 / h.m11, h.X_uu / h.m11, h.d22 / h.m22, h.Y_vv / h.m22, h.Y_uv / h.m22,
-        h.d33 / h.m33, h.N_rr / h.m33, h.N_ur / h.m33,
+def _vehicle_rows(c: Coefficients) -> tuple[Number, ...]:
+    """Return the rows of `VEHICLE_FEATURES`."""
+    ratios = (
+        c.d11 / c.m11, c.X_uu / c.m11, c.d22 / c.m22, c.Y_vv / c.m22, c.Y_uv / c.m22,
+        c.d33 / c.m33, c.N_rr / c.m33, c.N_ur / c.m33,
     )  # fmt: skip
-    shares = (2 * x / (x + half) for x, half in zip(decades, HALVES, strict=True))
-    return (h.m22 / h.m11 - 1, *shares, h.Y_ur / h.m22, h.N_uv / h.m33)
+    scaled = (2 * x / (x + half) for x, half in zip(ratios, HALVES, strict=True))
+    return (c.m22 / c.m11 - 1, *scaled, c.Y_ur / c.m22, c.N_uv / c.m33)
 
 
 _PAPER = PAPER_VEHICLE.coefficients
 HALVES = (0.1, 0.05, 0.4, 1.0, 0.5, 1.0, 4.0, 0.5)
-"""Drag and lift over inertia, in the order of `_known`, of which `HULL_FEATURES` are 1: about in the middle of what
-vehicles have."""
+"""Ratios of drag and lift to inertia at which the features are 1, in the order of `_vehicle_rows`: typical values."""
 FINE_FEATURES = _fine_features("", "measured")
-"""What a network sees besides with `Inputs.fine`: the errors on finer scales."""
+"""Additional features with `Inputs.fine`: the errors on finer scales."""
 FILTER_FEATURES = (
     Feature("held", "1", "1", "1 where there is no new position fix"),
     *_filter_features("rough_", "filter for a rough sea"),
     *_filter_features("calm_", "filter for a calm sea"),
 )
-"""What a network sees besides with `Inputs.filters`."""
-HULL_FEATURES = (
+"""Additional features with `Inputs.filters`."""
+VEHICLE_FEATURES = (
     Feature("m22", "1", "1", "m22 / m11 - 1 of the known vehicle"),
     *(
         Feature(name, unit, f"x / (x + {half:g}) * 2", f"{name} / {inertia} of the known vehicle in the paper's units")
@@ -284,4 +283,4 @@ HULL_FEATURES = (
     Feature("Y_ur", "1", "1", "Y_ur / m22 of the known vehicle"),
     Feature("N_uv", "1/m^2", "1 / m^2", "N_uv / m33 of the known vehicle in the paper's units"),
 )  # fmt: skip
-"""What a network sees besides with `Inputs.hull`: ratios, with drag and lift on a scale on which decades are alike."""
+"""Additional features with `Inputs.hull`: ratios; x / (x + half) compresses the range of those of drag and lift."""

@@ -1,11 +1,11 @@
-"""Kalman filters with fixed gains among the inputs of a network: what the vehicle, its actuators and the sea do.
+"""Kalman filters with fixed gains, whose estimates of vehicle, actuators and disturbances are inputs of a network.
 
-The model is that of `baselines.estimation.sea_model`, corrected at each control instant by gains that depend on the
-reference's speed alone, so that the filters can be differentiated and compiled with the rest of a closed loop. The
-first one believes in a rough sea, the second in a calm one; a network that sees what both believe can choose. The
-gains are those of a steady Riccati equation, see `research.trainings.filter_gains`, which makes their table. It is made
-for the paper's vehicle and serves every hull in that one's units, whose own model predicts: on the published vehicles
-the errors of position and heading come out at most a third larger than with gains of their own.
+The model is that of `baselines.estimation.sea_model`. The gains depend on the reference's speed alone, so that the
+filters can be differentiated and compiled with the rest of the closed loop. The first filter is designed for a rough
+sea, the second for a calm sea. The network has both estimates as inputs. The gains solve the algebraic Riccati
+equation; `research.trainings.filter_gains` writes their table. They are designed for the paper's vehicle and used for
+every vehicle in the units of the paper's, while the prediction uses the vehicle's own model. For the published vehicles
+the errors of position and heading are at most a third larger than with gains designed for the vehicle.
 """
 
 from __future__ import annotations
@@ -27,81 +27,82 @@ from baselines.policy import CRUISE_SPEED, is_fast
 FILTER_GAINS = Path(__file__).with_name("filter_gains.json")
 """File of the gains, see `gains`."""
 LAGS = (0.24, 0.001)
-"""Time constants [s] of the actuators that the filters believe in, for a rough and a calm sea."""
+"""Time constants [s] of the actuators in the models of the filters, for a rough and a calm sea."""
 MIDDLE = CRUISE_SPEED  # [m/s] speed at which `speed_share` is zero
-_HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
+_HELD = 1e-4  # [m] change of the measured position in a period below which there was no new fix
 _SETTLED = 50.0
-"""Control periods after which the second filter goes its own way, from where the first one is, in still water."""
-LEASH = (0.05, 0.1, 0.1)
-"""How far the second filter may be from the first one: position [m] plus [s] times the speed, heading [rad].
+"""Control periods in which the second filter is set to the estimate of the first one, in still water."""
+LARGEST_DISTANCE = (0.05, 0.1, 0.1)
+"""Largest difference of the two estimates: position [m] plus [s] times the speed, heading [rad].
 
-Beyond that the sea is not calm; the filter begins again from where the first one is, or it might go anywhere: the hull
-that it believes in is unstable in yaw at cruise."""
-REMEMBERED = tuple(name for name in Estimate._fields if name != "lag")
-"""The entries of an `Estimate` that a filter remembers."""
-LARGEST_ESTIMATE = dict.fromkeys(REMEMBERED, 1e6) | dict.fromkeys(("u", "v", "r"), 100.0)
-"""Magnitude [SI units] beyond which an entry of an estimate is none: the filter begins again.
+A larger difference means that the sea is not calm. The second filter is then set to the estimate of the first one.
+Without this its estimate could diverge, because its model is unstable in yaw at cruise."""
+MEMORY_ENTRIES = tuple(name for name in Estimate._fields if name != "lag")
+"""The entries of an `Estimate` that are in a filter's memory."""
+LARGEST_ESTIMATE = dict.fromkeys(MEMORY_ENTRIES, 1e6) | dict.fromkeys(("u", "v", "r"), 100.0)
+"""Largest magnitude of an entry [SI units]; a filter whose estimate exceeds it is reset.
 
-Where observations are held back or wrong the model may run away. In six episodes or more of each case of the frozen
-suites, in the filters' own units, no velocity was above 5 m/s, no yaw rate above 3 rad/s and no load above 2000 N."""
-SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
-ROWS = SHARED + len(LAGS) * len(REMEMBERED)
-"""Rows that the filters remember, all zero at an episode's start."""
+With frozen or wrong observations the model may diverge. In six episodes or more of each case of the frozen suites, in
+the filters' units, no velocity exceeded 5 m/s, no yaw rate 3 rad/s and no load 2000 N."""
+SHARED = 3  # rows of the memory that belong to both filters: the age, and the last fix x_e, y_e [m]
+ROWS = SHARED + len(LAGS) * len(MEMORY_ENTRIES)
+"""Number of rows of the filters' memory, all zero at the start of an episode."""
 ALONG = ("x_e", "u", "F_u", "V_x", "V_x_rate", "X", "X_wave", "X_swing")
-"""What is corrected by the innovations of `ALONG_MEASURED`; vectors in the world count along the body's surge axis."""
+"""Entries that the innovations of `ALONG_MEASURED` correct; of vectors in the world the component in surge."""
 ACROSS = ("y_e", "psi", "v", "r", "F_r", "V_y", "V_y_rate", "Y", "N", "Y_wave", "Y_swing", "N_wave", "N_swing")
-"""What is corrected by the innovations of `ACROSS_MEASURED`; vectors in the world count along the sway axis."""
+"""Entries that the innovations of `ACROSS_MEASURED` correct; of vectors in the world the component in sway."""
 ALONG_MEASURED = ("x_e", "u")
-"""Measured along the surge axis."""
+"""Measurements along the surge axis."""
 ACROSS_MEASURED = ("y_e", "psi", "v", "r")
-"""Measured across it."""
+"""Measurements along the sway axis and in yaw."""
 VECTORS = (("x_e", "y_e"), ("V_x", "V_y"), ("V_x_rate", "V_y_rate"))
 """Entries of an `Estimate` that are vectors in the world."""
 
 FilterGainTable = Sequence[Sequence[Sequence[float]]]
 
 
-class Believed(NamedTuple):
-    """What the filters say at a control instant."""
+class FilterOutput(NamedTuple):
+    """Output of the filters at a control instant."""
 
-    estimates: tuple[Estimate, ...]  # of each of them
+    estimates: tuple[Estimate, ...]  # of each filter
     held: Number  # whether there was no new position fix
 
 
 def speed_share(speed: Number) -> Number:
-    """Return (U - MIDDLE) / (U + MIDDLE), in [-1, 1), of whose powers the gains are made."""
+    """Return (U - MIDDLE) / (U + MIDDLE), in [-1, 1); the gains are polynomials in it."""
     return (speed - MIDDLE) / (speed + MIDDLE)
 
 
 @cache
 def gains(speed_range: str) -> tuple[tuple[FilterGainTable, FilterGainTable], ...]:
-    """Return for each filter the coefficients of its gains in a regime, in SI units: of `ALONG`, then of `ACROSS`.
+    """Return for each filter the coefficients of its gains in a speed range, in SI units: of `ALONG`, then `ACROSS`.
 
-    A row for each entry holds one for each measurement: the coefficients of 1, s, s^2, ... of s = `speed_share`.
+    Each is a table with a row for each entry and a column for each measurement. A cell holds the coefficients of
+    1, s, s^2, ... with s = `speed_share`.
     """
     record = json.loads(FILTER_GAINS.read_text(encoding="utf-8"))
     return tuple((own["along"], own["across"]) for own in record[speed_range])
 
 
-def filtered(
+def filter_step(
     o: Observation,
     speed: Number,
     memory: Sequence[Number],
     ns: Namespace,
-    hull: Coefficients = PAPER_VEHICLE.coefficients,
-) -> tuple[Believed, tuple[Number, ...]]:
-    """Return what the filters believe after one more observation, and the memory to hand in with the next one.
+    coefficients: Coefficients = PAPER_VEHICLE.coefficients,
+) -> tuple[FilterOutput, tuple[Number, ...]]:
+    """Return the output of the filters after one more observation, and their new memory.
 
     Args:
         o: the observation in SI units.
         speed: of the reference [m/s].
-        memory: `ROWS` rows, zero at an episode's start.
+        memory: `ROWS` rows from the previous call; zero at the start of an episode.
         ns: the namespace of the numbers.
-        hull: the vehicle as it is known, in units in which it has the paper's vehicle's mass, length and speed.
+        coefficients: of the nominal vehicle, in units in which it has the mass, length and speed of the paper's.
     """
     age, x_before, y_before, *rows = memory
-    held_out = age <= 0.0
-    motion = reference_motion(o, hull, ns)
+    initial = age <= 0.0
+    motion = reference_motion(o, coefficients, ns)
     half = 0.5 * o.dt * o.dt
     step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
@@ -110,29 +111,30 @@ def filtered(
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     found: list[Estimate] = []
     for i, (lag, *tables) in enumerate(zip(LAGS, gains("slow"), gains("cruise"), strict=True)):
-        own = _estimate(rows[i * len(REMEMBERED) : (i + 1) * len(REMEMBERED)], lag)
+        own = _estimate(rows[i * len(MEMORY_ENTRIES) : (i + 1) * len(MEMORY_ENTRIES)], lag)
         command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
-        ahead = transition(own, command, step, o.dt, hull, ns)
-        z = _corrected(ahead, measured, held, o, tables, speed_share(speed), ns)
-        first, wild = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _wild(z)
-        begun = [ns.where(held_out | wild, a, b) for a, b in zip(first, z, strict=True)]
+        predicted = transition(own, command, step, o.dt, coefficients, ns)
+        z = _corrected(predicted, measured, held, o, tables, speed_share(speed), ns)
+        first, diverged = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _diverged(z)
+        new = [ns.where(initial | diverged, a, b) for a, b in zip(first, z, strict=True)]
         if found:
-            still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # where the first one is, in still water
-            joined = (age < _SETTLED) | _far(found[0], z, speed) | wild
-            begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
-        found.append(Estimate._make(begun))
-    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in REMEMBERED))
-    return Believed(tuple(found), held), after
+            still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # estimate of the first filter, in still water
+            reset = (age < _SETTLED) | _far(found[0], z, speed) | diverged
+            new = [ns.where(reset, a, b) for a, b in zip(still, new, strict=True)]
+        found.append(Estimate._make(new))
+    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in MEMORY_ENTRIES))
+    return FilterOutput(tuple(found), held), after
 
 
 def _far(a: Estimate, b: Estimate, speed: Number) -> Any:
-    """Return whether two estimates differ by more than noise explains."""
-    x, y, psi, leash = a.x_e - b.x_e, a.y_e - b.y_e, a.psi - b.psi, LEASH[0] + LEASH[1] * speed
-    return (x * x + y * y > leash * leash) | (psi * psi > LEASH[2] * LEASH[2])
+    """Return whether two estimates differ by more than `LARGEST_DISTANCE`."""
+    base, per_speed, angle = LARGEST_DISTANCE
+    x, y, psi, distance = a.x_e - b.x_e, a.y_e - b.y_e, a.psi - b.psi, base + per_speed * speed
+    return (x * x + y * y > distance * distance) | (psi * psi > angle * angle)
 
 
-def _wild(z: Estimate) -> Any:
-    """Return whether an entry of an estimate is beyond `LARGEST_ESTIMATE`, or no number."""
+def _diverged(z: Estimate) -> Any:
+    """Return whether the magnitude of an entry exceeds `LARGEST_ESTIMATE`, or is nan."""
     within: Any = True
     for name, most in LARGEST_ESTIMATE.items():
         within = (abs(getattr(z, name)) <= most) & within
@@ -140,8 +142,8 @@ def _wild(z: Estimate) -> Any:
 
 
 def _estimate(rows: Sequence[Number], lag: float) -> Estimate:
-    """Return the estimate of the rows that are remembered of it."""
-    return Estimate(**dict(zip(REMEMBERED, rows, strict=True)), lag=lag)
+    """Return the estimate that the rows of a memory hold."""
+    return Estimate(**dict(zip(MEMORY_ENTRIES, rows, strict=True)), lag=lag)
 
 
 def _corrected(
@@ -153,7 +155,7 @@ def _corrected(
     share: Number,
     ns: Namespace,
 ) -> Estimate:
-    """Return an estimate after the measurements; those of a position that is held do not count."""
+    """Return an estimate after the measurements; without a new position fix, position and heading do not count."""
     x, y, psi, u, v, r = (a - b for a, b in zip(measured, measurement(z, ns), strict=True))
     x, y = to_body(x, y, o.cos_psi, o.sin_psi)
     x, y, psi = ns.where(held, 0.0, x), ns.where(held, 0.0, y), wrap_angle(psi, ns)
@@ -176,5 +178,5 @@ def polynomial(coefficients: Sequence[float], x: Number) -> Number:
     return total
 
 
-assert len(ALONG) + len(ACROSS) == len(REMEMBERED) == STATE_SIZE - 1
+assert len(ALONG) + len(ACROSS) == len(MEMORY_ENTRIES) == STATE_SIZE - 1
 assert PLACE.x_e == 0

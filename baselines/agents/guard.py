@@ -1,11 +1,11 @@
-"""A floor under a policy: another one takes over where the energy of the expert's errors says that it goes astray.
+"""Guard of a policy: a fallback policy takes over if the energy of the tracking errors indicates divergence.
 
-It is a Simplex architecture (Sha, "Using simplicity to control complexity", IEEE Software 18 (2001) 20): a capable
-policy acts, a simple one stands by, and a monitor that knows nothing of either decides between them. The monitor
-watches the function V4 (45) that the expert's backstepping is built on, without dimensions. There is an alarm where it
-grows, beyond a multiple of its own mean over the last time, and is large: less counts as large while the yaw command is
-at its limit nearly all the time, which is how a vehicle on late actuators begins to spin. The other policy takes over
-within a fraction of a second. It hands back after a while, which grows from one alarm to the next.
+It is a Simplex architecture (Sha, "Using simplicity to control complexity", IEEE Software 18 (2001) 20): a complex
+policy acts, a simple policy is the fallback, and a monitor that is independent of both switches between them. The
+monitor computes the function V4 (45) of the paper in dimensionless form. It raises an alarm if V4 exceeds both a
+multiple of its moving average and a threshold. The threshold is lower while the yaw command is at its limit most of the
+time, because this is how a vehicle with slow actuators begins to spin. The fallback takes over within a fraction of a
+second. It returns the control to the policy after a hold time, which increases with every alarm.
 """
 
 from __future__ import annotations
@@ -29,34 +29,35 @@ from baselines.control.backstepping import GAINS, Backstepping, Gains, backstepp
 from baselines.policy import Batched, Memory, Starts, first_order, is_fast, reference_speed, renewed
 
 _CORRECTION = 1
-"""Which array of an agent's memory is its last correction, shape (N, 2)."""
-MEAN = 0  # column of a guard's memory: the mean energy of the last time
-GUARD_SHARE = 1  # column of a guard's memory: which share of the policy's command acts
-LEFT = 2  # column of a guard's memory: how long the other policy still has the command [s]
-ALARMS = 3  # column of a guard's memory: how many alarms there were
-EXHAUSTED = 4  # column of a guard's memory: which share of the last time the yaw command was at its limit
-ARRAYS_OF_POLICY = 5  # column of a guard's memory: how many arrays of the memory are the policy's
+"""Index of the last correction, shape (N, 2), in an agent's memory."""
+# Columns of a guard's memory:
+MEAN = 0  # moving average of the energy
+GUARD_SHARE = 1  # weight of the policy's command
+LEFT = 2  # [s] remaining time of the fallback
+ALARMS = 3  # number of alarms
+EXHAUSTED = 4  # moving average of the share of time with the yaw command at its limit
+ARRAYS_OF_POLICY = 5  # number of arrays of the policy's memory
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """When a guard takes over, and for how long; times in units of the law's own, 1 / (k + k1).
+    """Thresholds and times of a guard; times are in units of the law's time constant 1 / (k + k1).
 
     Raises:
-        ValueError: one is no positive number.
+        ValueError: a value is not a positive number.
     """
 
-    energy: float = 4.0  # that is allowed while the yaw command is at its limit most of the time
-    exhausted: float = 0.85  # share of the time that the yaw command spends at its limit then
-    memory: float = 2.4  # time over which that share is a mean
-    most: float = 64.0  # energy that is allowed else
-    growth: float = 2.0  # how many times its mean an energy may be
-    horizon: float = 7.0  # time over which that is a mean
-    start: float = 4.0  # what the mean begins at, where an episode begins, if the energy is not larger
-    take: float = 0.5  # time in which the other policy takes over
-    give: float = 4.0  # time in which it gives back
-    hold: float = 48.0  # time that it keeps the command after the first alarm
-    longer: float = 4.0  # factor on that from one alarm to the next
+    energy: float = 4.0  # largest energy while the yaw command is at its limit most of the time
+    exhausted: float = 0.85  # share of time with the yaw command at its limit from which `energy` applies
+    memory: float = 2.4  # averaging time of that share
+    most: float = 64.0  # largest energy otherwise
+    growth: float = 2.0  # largest energy over its moving average
+    horizon: float = 7.0  # averaging time of the energy
+    start: float = 4.0  # least initial value of the moving average
+    take: float = 0.5  # time in which the fallback takes over
+    give: float = 4.0  # time in which the policy takes over again
+    hold: float = 48.0  # hold time of the fallback after the first alarm
+    longer: float = 4.0  # factor on the hold time per alarm
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -64,22 +65,22 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
-"""Those of guards by name; `python -m research guard-thresholds` compares them with others."""
-MOST_GROWTH = 6.0  # alarms after which the time that the other policy keeps the command grows no more
-HORIZON = 1.0  # [s] in which the reference covers the largest position error that the law then sees
-AT_LIMIT = 0.999  # magnitude of a command that counts as being at its limit
+"""Default of guards; `python -m research guard-thresholds` compares it with others."""
+MOST_GROWTH = 6.0  # number of alarms after which the hold time stays constant
+HORIZON = 1.0  # [s] bound of the fallback's position error as a travel time of the reference
+AT_LIMIT = 0.999  # magnitude from which a command counts as at its limit
 
 
 def energy(o: Sequence[Array], vehicle: Vehicle) -> tuple[Array, Array]:
     """Return the energy of the law's errors, and the law's rate k + k1 [1/s], for observations in SI units.
 
-    The energy is V4 (45) in units of the law's time T = 1/(k + k1) and of the way U T that the reference covers in it:
-    ((e/(U T))^2 + (z_u/U)^2 + (z_v/U)^2 + psi_e^2 + (z_r T)^2) / 2. Where the vehicle is a length U T from its
-    reference and else as it should be, it is 3/2.
+    The energy is V4 (45) in units of the law's time constant T = 1/(k + k1) and of the distance U T that the reference
+    covers in it: ((e/(U T))^2 + (z_u/U)^2 + (z_v/U)^2 + psi_e^2 + (z_r T)^2) / 2. At a position error of U T and no
+    other error it is 3/2.
 
     Args:
         o: the terms, arrays of shape (N,).
-        vehicle: the known one.
+        vehicle: the nominal one.
     """
     fast = is_fast(o[6], o[7])
     slow, cruise = (_energy(o, vehicle, GAINS[name]) for name in ("paper", "cruise"))
@@ -97,9 +98,9 @@ def _energy(o: Sequence[Array], vehicle: Vehicle, gains: Gains) -> tuple[Array, 
 
 
 def bounded_law(vehicle: Vehicle | str | Mapping[str, Any] | None = None) -> Backstepping:
-    """Return what a guard hands over to: the expert's law with a bound on the position error that it sees.
+    """Return the default fallback of a guard: the expert's law with a bound on the position error.
 
-    Far from its reference the printed law asks for more than actuators give, and turns the vehicle round and round.
+    Far from the reference the commands of the law without a bound saturate the actuators, and the vehicle spins.
     """
     return Backstepping(vehicle=PAPER_VEHICLE if vehicle is None else as_vehicle(vehicle), horizon=HORIZON)
 
@@ -107,14 +108,15 @@ def bounded_law(vehicle: Vehicle | str | Mapping[str, Any] | None = None) -> Bac
 class Guarded(Batched):
     """A policy with a guard.
 
-    Its memory: the guard's own, shape (N, 6); behind it the policy's, and that of the policy that it hands over to.
-    With no alarm the commands are the policy's bit for bit, and once the other one has taken over they are that one's.
+    The memory is that of the guard, shape (N, 6), then that of the policy, then that of the fallback. Without an alarm
+    the commands are exactly those of the policy. After the fallback has taken over they are exactly those of the
+    fallback.
 
     Args:
-        policy: what acts where nothing is wrong.
-        fallback: what takes over. It runs all the time, so that its memory is up to date.
-        vehicle: the known one; an object, a name or a dict. None: the paper's.
-        thresholds: when, and for how long.
+        policy: acts as long as there is no alarm.
+        fallback: takes over after an alarm. It runs all the time, so that its memory is up to date.
+        vehicle: the nominal one; an object, a name or a dict. None: the paper's.
+        thresholds: of the monitor.
     """
 
     def __init__(
@@ -137,35 +139,35 @@ class Guarded(Batched):
         own = renewed(state and state[:1], (np.zeros((len(rows), 6)),), episode_start)[0]
         pasts = (state[1:split] or None, state[split:] or None) if state else (None, None)
         seen = (np.hstack((rows[:, :SIZE], extra[:, columns])) for columns in (self._seen, self._seen_by_fallback))
-        (action, past), (other, its) = (
+        (action, past), (other, other_past) = (
             policy.predict(row, before, episode_start, deterministic)
             for policy, row, before in zip((self.policy, self.fallback), seen, pasts, strict=True)
         )
         begins = (own[:, GUARD_SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, MEAN] == 0)
-        own = self._watched(o, own, begins)
+        own = self._monitored(o, own, begins)
         share = own[:, GUARD_SHARE, None]
         if isinstance(self.policy, ResidualPolicy) and past is not None:
-            # A network is told which correction has acted.
+            # The last correction is an input of the network: it must be the one that acted.
             past = (*past[:_CORRECTION], past[_CORRECTION] * share, *past[_CORRECTION + 1 :])
         own[:, ARRAYS_OF_POLICY] = len(past or ())
         mixed = (other + share * (action - other)).astype(np.float32)
         command = np.where(share >= 1.0, action, np.where(share <= 0.0, other, mixed))
-        return command, (own, *(past or ()), *(its or ()))
+        return command, (own, *(past or ()), *(other_past or ()))
 
-    def _watched(self, o: Observation, before: Array, begins: NDArray[np.bool_]) -> Array:
-        """Return the guard's memory after a look at the observation."""
+    def _monitored(self, o: Observation, before: Array, begins: NDArray[np.bool_]) -> Array:
+        """Return the guard's memory after one more observation."""
         t = self.thresholds
         now, rate = energy(o, self.vehicle)
         step = o.dt * rate
         mean, share, left, alarms, exhausted = (before[:, i] for i in range(5))
-        still = np.maximum(left - o.dt, 0.0)
-        held_out = begins | ((still == 0.0) & (left > 0.0))  # what begins, and what is handed back
-        mean = np.where(held_out, np.maximum(now, t.start), mean + first_order(step, t.horizon) * (now - mean))
+        remaining = np.maximum(left - o.dt, 0.0)
+        reset = begins | ((remaining == 0.0) & (left > 0.0))  # at the start of an episode, and after the hold time
+        mean = np.where(reset, np.maximum(now, t.start), mean + first_order(step, t.horizon) * (now - mean))
         exhausted = exhausted + first_order(step, t.memory) * ((np.abs(o.a_r) >= AT_LIMIT) - exhausted)
-        exhausted = np.where(held_out, 0.0, exhausted)
+        exhausted = np.where(reset, 0.0, exhausted)
         over = (now > t.energy) & (exhausted > t.exhausted) | (now > t.most)
-        alarm = (still == 0.0) & over & (now > t.growth * mean)
-        left = np.where(alarm, t.hold / rate * t.longer ** np.minimum(alarms, MOST_GROWTH), still)
+        alarm = (remaining == 0.0) & over & (now > t.growth * mean)
+        left = np.where(alarm, t.hold / rate * t.longer ** np.minimum(alarms, MOST_GROWTH), remaining)
         share = np.where(begins, 1.0, share) + np.where(left > 0.0, -step / t.take, step / t.give)
         rows = mean, np.clip(share, 0.0, 1.0), left, alarms + alarm, exhausted, before[:, ARRAYS_OF_POLICY]
         return np.stack(rows, axis=1)

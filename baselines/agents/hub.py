@@ -1,4 +1,4 @@
-"""Share trained agents on the Hugging Face Hub. An agent is weights and a description: no code from the Hub is run."""
+"""Share trained agents on the Hugging Face Hub. Agents consist of weights and a description; they contain no code."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def push(agent: str, repo_id: str) -> str:
 
     Args:
         agent: name or folder of an agent.
-        repo_id: repository on the Hub, USER/NAME; it is made if it does not exist.
+        repo_id: repository on the Hub, USER/NAME; it is created if it does not exist.
 
     Raises:
         ModuleNotFoundError: huggingface_hub is not installed.
-        ValueError: there is no such agent, or it is damaged.
+        ValueError: the agent does not exist, or it is damaged.
     """
     if (folder := agent_folder(agent)) is None:
-        raise ValueError(f"{agent!r} is no agent; give the name of one that ships, or a folder with {AGENT_FILE}")
-    Agent.load(folder)  # refuses a damaged one
+        raise ValueError(f"{agent!r} is not an agent; give the name of a shipped agent, or a folder with {AGENT_FILE}")
+    Agent.load(folder)  # raises ValueError for a damaged agent
     api = _hub().HfApi()
     api.create_repo(repo_id, exist_ok=True)
     card = (_HEAD + (folder / CARD).read_text(encoding="utf-8")).encode()
@@ -36,15 +36,15 @@ def push(agent: str, repo_id: str) -> str:
 
 
 def load(repo_id: str, revision: str | None = None) -> Path:
-    """Download an agent and return its folder, which `make_policy(str(folder))` takes.
+    """Download an agent and return its folder, for `make_policy(str(folder))`.
 
     Args:
         repo_id: repository on the Hub, USER/NAME.
-        revision: branch, tag or commit. Name a commit to get the same agent again.
+        revision: branch, tag or commit; only a commit always returns the same agent.
 
     Raises:
         ModuleNotFoundError: huggingface_hub is not installed.
-        ValueError: the repository holds no agent, or a damaged one.
+        ValueError: the repository contains no agent, or a damaged one.
     """
     folder = Path(_hub().snapshot_download(repo_id, revision=revision, allow_patterns=list(_FILES)))
     Agent.load(folder)
@@ -55,5 +55,5 @@ def _hub() -> Any:
     try:
         import huggingface_hub
     except ModuleNotFoundError:
-        raise ModuleNotFoundError(f"sharing agents needs huggingface_hub: {install('hub')}") from None
+        raise ModuleNotFoundError(f"sharing agents requires huggingface_hub: {install('hub')}") from None
     return huggingface_hub

@@ -1,4 +1,4 @@
-"""Policies from files: `file.py:factory`, `model.zip` of Stable-Baselines3, `model.onnx`, agents' folders, programs."""
+"""Load policies: `file.py:factory`, `model.zip` of Stable-Baselines3, `model.onnx`, folders of agents, programs."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ from baselines.similar import made_for
 
 
 def caution(name: str) -> str | None:
-    """Return what a user should know before a policy is loaded, if anything."""
+    """Return the warning about a policy that is to be loaded, None if there is none."""
     if name.endswith(".zip") and not name.startswith(COMMAND):
-        text = f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
-        return f"{text}; it sees what {beside} normalises" if (beside := statistics_file(Path(name))) else text
+        text = f"{name} holds pickled objects, which can run any code: load only files that you trust"
+        beside = statistics_file(Path(name))
+        return f"{text}; its observations are normalised by {beside}" if beside else text
     return None
 
 
 def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
-    """Return the policy of a path, see the module.
+    """Return the policy of a path.
 
     Args:
-        path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", "FILE.onnx", an agent's folder,
-            or "cmd:" and the words of a command.
-        vehicle: the known one, see `baselines.make_policy`.
+        path: "FILE.py:FACTORY", where the factory is called with the options, "FILE.zip", "FILE.onnx", an agent's
+            folder, or "cmd:" and the words of a command.
+        vehicle: the nominal one, see `baselines.make_policy`.
         options: of the factory, `fade` of an agent, see `baselines.agents.agent.Agent.policy`, or `authority` of a
             model that was trained on the residual environment.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it holds no such policy.
+        ValueError: the file holds no such policy, or an option is unknown.
     """
     if path.startswith(COMMAND) or path.endswith(SUFFIX):
         if options:
-            raise ValueError(f"policy {path!r} takes no option {next(iter(options))!r}, and no other")
+            raise ValueError(f"policy {path!r} takes no option {next(iter(options))!r}; it has no options")
         return _program(path.removeprefix(COMMAND), vehicle) if path.startswith(COMMAND) else _onnx(Path(path))
     if ".py:" not in path:
         model = path.endswith(".zip")
@@ -77,20 +78,20 @@ def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:
     with file.open("rb"):
-        pass  # says that it is missing before the importer does
+        pass  # raises OSError if it cannot be read
     name = f"user_policy_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses look for their module
+    sys.modules[name] = module  # dataclasses look up their module here
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     make = getattr(module, factory, None)
     if not callable(make):
-        raise ValueError(f"{file} has no function or class {factory!r} that makes a policy")
+        raise ValueError(f"{file} has no function or class {factory!r}")
     try:
         policy: Policy = make(**{**vehicle_option(make, vehicle), **options})
     except (Exception, SystemExit) as error:

@@ -1,4 +1,4 @@
-"""The model card of an agent: what its description says, for people."""
+"""Model card of an agent: its description in Markdown."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from baselines.control.open_loop import NO_EXPERT
 CURVE_FILE = "learning_curve.png"  # file beside the card
 _TEXT = """# {name}
 
-A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It steers the underactuated
-vehicle of `auv_gym` along a reference, from what its sensors measure.
+A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It controls the
+underactuated vehicle of `auv_gym` along a reference from noisy measurements.
 
 {facts}
 
@@ -21,36 +21,36 @@ vehicle of `auv_gym` along a reference, from what its sensors measure.
 python evaluate.py --suite benchmark-v1 --policy PATH/{name}
 ```
 
-`baselines.agents.agent.Agent.load(PATH).policy()` gives the policy; it runs on NumPy, without torch and without code
+`baselines.agents.agent.Agent.load(PATH).policy()` returns the policy. It runs on NumPy, without torch, and runs no code
 from this folder.
 
 ## Limits
 
-It has seen simulated episodes of its scenarios only. Beyond the bound on its correction nothing is guaranteed about
-stability, least of all for other vehicles, speeds or sensors.
+The agent was trained in simulated episodes of its scenarios only. Its correction is bounded. There is no other
+guarantee of stability, in particular for other vehicles, speeds or sensors.
 """
-TOLD = """\
-It is told the vehicle: `baselines.make_policy(PATH, vehicle=V)` makes it for V, in V's own units. Those that it has
-learned on are in `baselines.training.vehicle_models`.
+_KNOWN_VEHICLE = """\
+The parameters of the vehicle are an input of the network: `baselines.make_policy(PATH, vehicle=V)` returns the policy
+for the vehicle V. `baselines.training.vehicle_models` defines the vehicles of its training.
 """
-"""What is said besides of an agent that is told its vehicle."""
 
 
 def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
-    """Return the card, Markdown.
+    """Return the card as Markdown.
 
     Args:
-        name: the agent's.
-        record: its description, as `agent.json` has it.
-        curve: whether there is a learning curve beside it.
+        name: of the agent.
+        record: its description, the contents of `agent.json`.
+        curve: whether the folder has a learning curve.
     """
     training, (surge, yaw) = record["training"], record["authority"]
     own = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
     lines = [_TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
     if record["inputs"].get("hull"):
-        lines += [TOLD]
+        lines += [_KNOWN_VEHICLE]
     if scores := training.get("scores"):
-        lines += ["## Scores", "", "0 is the expert `backstepping`, 1 the oracle.", "", *_table(scores), ""]
+        lines += ["## Scores", "", "0 is the score of the expert `backstepping`, 1 that of `oracle`.", ""]
+        lines += [*_table(scores), ""]
     if curve:
         lines += ["## Learning curve", "", f"![Score on validation episodes over control steps]({CURVE_FILE})", ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What the name of a policy stands for: an agent that ships with the package, a path, or neither."""
+"""Names of policies: agents that ship with the package, paths, and suffixes."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from pathlib import Path
 from auv_gym.installation import RECORD, found
 
 SHIPPED_FOLDER = Path(__file__).parent / "shipped"
-"""Where the agents are that ship with the package, a folder each."""
+"""Folder of the agents that ship with the package, one folder each."""
 FADING = ":fade"
-"""Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
+"""Suffix of an agent's name: its corrections fade outside of the region of its training, see `Agent.policy`."""
 GUARD = ":guard"
-"""Behind a policy's name: another one takes over where it goes astray, see `baselines.agents.guard`; behind it perhaps
-"=" and the name of the other one."""
-
+"""Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
+name of the fallback may follow."""
 COMMAND = "cmd:"
-"""Before the words of a command line: the policy is a program that runs beside, see `baselines.agents.programs`."""
+"""Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
 
 def shipped_agents() -> list[str]:
-    """Return the names of the agents in `SHIPPED_FOLDER`, and in a checkout of those in the record."""
+    """Return the names of the agents in `SHIPPED_FOLDER`, and in a checkout also of those in the research record."""
     return sorted(
         file.parent.name
         for folder in (SHIPPED_FOLDER, RECORD / SHIPPED_FOLDER.name)
@@ -28,12 +27,12 @@ def shipped_agents() -> list[str]:
 
 
 def agent_of(study: str) -> str:
-    """Return the name of the agent that a study is of: "helm" of "helm-slow", which says what it does in one regime."""
+    """Return the agent of a study: "helm" for the study "helm-slow", which has its results in one speed range."""
     return study if study in shipped_agents() else study.rpartition("-")[0] or study
 
 
 def agent_folder(name: str) -> Path | None:
-    """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
+    """Return the folder of an agent by its name, its path, or the folder of its training run; None if there is none."""
     if name.startswith(COMMAND):
         return None
     places = (found(SHIPPED_FOLDER, name),) if name in shipped_agents() else (Path(name), Path(name, "agent"))
@@ -41,7 +40,7 @@ def agent_folder(name: str) -> Path | None:
 
 
 def guarded_name(name: str) -> tuple[str, str] | None:
-    """Return the name before `GUARD`, and that of the policy behind it, "" for the usual one; None without a guard."""
+    """Return the policy's name and that of its fallback, "" for the default one; None for a name without `GUARD`."""
     bare, mark, other = name.rpartition(GUARD)
     if name.startswith(COMMAND) or not bare or not (other == "" or (other[0] == "=" and len(other) > 1)):
         return None
@@ -55,7 +54,7 @@ def bare_name(name: str) -> str:
 
 
 def is_path(name: str) -> bool:
-    """Return whether a policy's name is a path to one."""
+    """Return whether a policy's name is a path or a command."""
     known = name.endswith((".zip", ".onnx")) or ".py:" in name or "/" in name or "\\" in name
     known = known or name.startswith(COMMAND)
     return known or (name not in shipped_agents() and agent_folder(name) is not None)

@@ -1,4 +1,4 @@
-"""The networks that trained agents are made of, run on NumPy alone."""
+"""Networks of trained agents in NumPy."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 
-OUTPUTS = 2  # outputs: the corrections of surge and yaw
-_LARGEST_LAYER = 4096
-"""Most units of a layer."""
+OUTPUTS = 2  # the corrections of surge and yaw
+_LARGEST_LAYER = 4096  # most units of a layer
 Weights = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
 Layers = tuple[tuple[Array, Array], ...]
-"""Linear layers: a matrix, and what is added as a column."""
+"""Linear layers: weight matrix and bias column of each."""
 
 Function = Callable[[Array], Array]
-ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}  # of the layers
+ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+"""Activation functions of the hidden layers by name."""
 _BOUNDS: dict[str, Function] = {"tanh": np.tanh, "clip": lambda x: np.clip(x, -1.0, 1.0)}
-"""What keeps the output in [-1, 1]."""
+"""Functions that bound the output to [-1, 1]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Gru:
 
     @property
     def memory(self) -> int:
-        """Numbers that are remembered from one control instant to the next."""
+        """Size of the hidden state."""
         return self.hidden
 
     @property
@@ -60,9 +60,9 @@ class Gru:
         }
 
     def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
-        """Return weights as `forward` takes them, in a precision; sums are halved where a sigmoid follows.
+        """Return the layers for `forward`; the weights of gates are multiplied by one half.
 
-        The sigmoid of s is (1 + tanh(s / 2)) / 2, and halving is exact.
+        The sigmoid of s is (1 + tanh(s / 2)) / 2, and multiplication by one half is exact.
         """
         half = np.repeat((0.5, 1.0), (2 * self.hidden, self.hidden))
         encoder, decoder, head = _columns(weights, ("encoder", "decoder", "head"), precision)
@@ -76,9 +76,9 @@ class Gru:
         """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N).
 
         Args:
-            layers: what `prepared` gives.
+            layers: result of `prepared`.
             x: inputs, shape (inputs, N).
-            hidden: as the last call returned it; zero at an episode's start.
+            hidden: as the last call returned it; zero at the start of an episode.
         """
         encoder, of_inputs, of_hidden, decoder, head = layers
         units, split = self.hidden, 2 * self.hidden
@@ -101,7 +101,7 @@ class Gru:
 
 @dataclass(frozen=True)
 class Mlp:
-    """Layers with an activation between them, without memory."""
+    """Linear layers with an activation between them, without memory."""
 
     kind: ClassVar[str] = "mlp"
     inputs: int
@@ -117,7 +117,7 @@ class Mlp:
 
     @property
     def memory(self) -> int:
-        """Numbers that are remembered: none."""
+        """Size of the hidden state, 0."""
         return 0
 
     @property
@@ -130,11 +130,11 @@ class Mlp:
         return shapes
 
     def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
-        """Return weights as `forward` takes them, in a precision."""
+        """Return the layers for `forward`."""
         return _columns(weights, [f"layers.{i}" for i in range(len(self.layers) + 1)], precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (OUTPUTS, N), and `hidden` untouched, as `Gru.forward`."""
+        """Return actions in [-1, 1], shape (OUTPUTS, N), and `hidden` unchanged, as `Gru.forward`."""
         *inner, head = layers
         for layer in inner:
             x = ACTIVATIONS[self.activation](_linear(layer, x))
@@ -143,28 +143,28 @@ class Mlp:
 
 @dataclass(frozen=True)
 class Lstm:
-    """Long short-term memory, layers with an activation behind it, and a linear head; units as in `torch.nn.LSTM`."""
+    """Long short-term memory, then an `Mlp`; units as in `torch.nn.LSTM`."""
 
     kind: ClassVar[str] = "lstm"
     inputs: int
     hidden: int = 64
-    layers: tuple[int, ...] = ()  # units of the layers behind the memory
+    layers: tuple[int, ...] = ()  # units of the hidden layers of the `Mlp`
     activation: str = "tanh"  # of these layers, one of `ACTIVATIONS`
     bound: str = "clip"  # one of `_BOUNDS`
 
     def __post_init__(self) -> None:
         _check_sizes(hidden=self.hidden)
-        object.__setattr__(self, "layers", self._behind.layers)
+        object.__setattr__(self, "layers", self._decoder.layers)
         _check_sizes(inputs=self.inputs)
 
     @property
-    def _behind(self) -> Mlp:
-        """What follows the memory."""
+    def _decoder(self) -> Mlp:
+        """The layers after the recurrent one."""
         return Mlp(self.hidden, self.layers, self.activation, self.bound)
 
     @property
     def memory(self) -> int:
-        """Numbers that are remembered from one control instant to the next: outputs and cells."""
+        """Size of the hidden state: outputs and cells."""
         return 2 * self.hidden
 
     @property
@@ -172,33 +172,33 @@ class Lstm:
         """Shapes of the weights, by name; rows of the gates: input, forget, candidate, output."""
         gates = 4 * self.hidden
         own = {"lstm.weight_ih": (gates, self.inputs), "lstm.weight_hh": (gates, self.hidden), "lstm.bias": (gates,)}
-        return {**own, **self._behind.shapes}
+        return {**own, **self._decoder.shapes}
 
     def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
-        """Return weights as `forward` takes them: candidates last, sums halved where a sigmoid follows.
+        """Return the layers for `forward`; candidates come last, the weights of gates are halved as in `Gru.prepared`.
 
-        The sigmoid of s is (1 + tanh(s / 2)) / 2, and halving is exact.
+        The bias of both matrices is one column.
         """
         units = self.hidden
         order = np.r_[0 : 2 * units, 3 * units : 4 * units, 2 * units : 3 * units]
         half = np.repeat((0.5, 1.0), (3 * units, units))
         both = np.hstack((weights["lstm.weight_ih"], weights["lstm.weight_hh"]))[order]
         gates = _column(half[:, None] * both, half * weights["lstm.bias"][order], precision)
-        return gates, *self._behind.prepared(weights, precision)
+        return gates, *self._decoder.prepared(weights, precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
         """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N), as `Gru.forward`."""
-        gates, *behind = layers
+        gates, *decoder = layers
         units = self.hidden
         sums = _linear(gates, np.concatenate((x, hidden[:units])))
         np.tanh(sums, sums)
-        opened = sums[: 3 * units]
-        opened *= 0.5
-        opened += 0.5
-        cells = opened[units : 2 * units] * hidden[units:]
-        cells += opened[:units] * sums[3 * units :]
-        out = opened[2 * units :] * np.tanh(cells)
-        action, _ = self._behind.forward(tuple(behind), out, hidden)
+        sigmoids = sums[: 3 * units]
+        sigmoids *= 0.5
+        sigmoids += 0.5
+        cells = sigmoids[units : 2 * units] * hidden[units:]
+        cells += sigmoids[:units] * sums[3 * units :]
+        out = sigmoids[2 * units :] * np.tanh(cells)
+        action, _ = self._decoder.forward(tuple(decoder), out, hidden)
         return action, np.concatenate((out, cells))
 
 
@@ -208,15 +208,15 @@ NETWORKS: dict[str, type[Gru] | type[Lstm] | type[Mlp]] = {cls.kind: cls for cls
 
 
 def network_record(network: Network) -> dict[str, Any]:
-    """Return a network's kind and sizes as plain values."""
+    """Return the kind and the sizes of a network as plain values."""
     return {"kind": network.kind, **{f.name: getattr(network, f.name) for f in fields(network)}}
 
 
 def network_of(record: Any) -> Network:
-    """Return the network of what `network_record` returned.
+    """Return the network of a record, see `network_record`.
 
     Raises:
-        ValueError: the kind is unknown, a size is missing, unknown or out of range.
+        ValueError: the kind is unknown, or a size is missing, unknown or out of range.
     """
     if not isinstance(record, Mapping) or record.get("kind") not in list(NETWORKS):
         raise ValueError(f"network is {record!r}; it must be a table whose kind is one of {', '.join(NETWORKS)}")
@@ -233,8 +233,8 @@ def check_weights(network: Network, weights: Weights) -> None:
     """Raise ValueError if weights are missing, too many, of another shape, or not finite."""
     shapes = network.shapes
     if set(weights) != set(shapes):
-        odd = sorted(set(weights) ^ set(shapes))
-        raise ValueError(f"the weights differ from the network's in {', '.join(odd[:3])}")
+        wrong = sorted(set(weights) ^ set(shapes))
+        raise ValueError(f"missing or unknown weights: {', '.join(wrong[:3])}")
     for name, shape in shapes.items():
         if weights[name].shape != shape:
             raise ValueError(f"weight {name} has shape {weights[name].shape}; the network needs {shape}")

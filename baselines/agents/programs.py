@@ -1,7 +1,8 @@
-"""Policies that are programs of their own, in any language: `cmd:./my_controller --option`, asked line by line.
+"""Policies that are separate programs in any language: `cmd:./my_controller --option`.
 
-The program gets one line of JSON on its standard input and answers with one on its standard output: first a greeting,
-then a batch of observations at each control instant. `docs/programs.md` has the protocol and examples.
+The program reads lines of JSON from its standard input and answers each with a line on its standard output. The first
+line is a greeting, then there is a batch of observations per control instant. `docs/programs.md` has the protocol and
+examples.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import threading
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,54 +34,54 @@ from baselines.tools.files import checked_plain
 PROTOCOL = 1
 """Version of the protocol."""
 START = 10.0
-"""Seconds that a program may take to start and greet, and for any answer beside what its decisions may take."""
+"""Time [s] that a program has for its first answer, and for every answer in addition to the time for its decisions."""
 LONGEST_ANSWER = 2**22
 """Most bytes of an answer."""
 DECISION = 0.1
-"""Default for the largest time of a decision [s]."""
-LONGEST_WAIT = 3600.0  # [s] for an answer, where the limit of a decision is infinite
+"""Default time limit of a decision [s]."""
+LONGEST_WAIT = 3600.0  # [s] for an answer if the time limit of a decision is infinite
 FAREWELL = 0.5  # [s] that a program has to end by itself once its standard input is closed
-LAST_WORDS = 300  # bytes of its standard error that are told
+LAST_WORDS = 300  # bytes of its standard error that messages quote
 MARK = "AUV_GYM_PROGRAM_"
-"""What the name of an environment variable begins with by which a program and all that it starts are found."""
+"""Prefix of an environment variable by which a program and its child processes are found."""
 MOST_FILES = 1000
 """Most files of a folder among the words of a command."""
 
 _EXAMPLE = Observation(*(0.0 for _ in Observation._fields))._replace(
     e_x=0.1, e_y=-0.1, psi_e=0.05, u_R=0.5, F_uR=35.0, cos_psi=1.0, F_u_max=400.0, F_r_max=200.0, dt=0.1
 )
-"""What a program is asked once before anything runs: a vehicle that moves straight on, nearly on its path."""
+"""Observation that is sent once at the start as a test: a vehicle that moves straight ahead, close to its path."""
 
 
 class ProgramError(ValueError):
-    """A program cannot be started, has ended, is silent, or answers what is no answer."""
+    """A program cannot be started, has ended, does not answer in time, or sends a wrong answer."""
 
 
 class ProgramPolicy(Batched):
-    """A program as a policy. It remembers by itself, and so can steer one set of vehicles at a time.
+    """A program as a policy. The memory is in the program, so it can control one set of vehicles at a time.
 
     Attributes:
-        preview: the control periods ahead at which it wants to know where the reference is.
-        step_limit: seconds that it may take for the decision of one vehicle, beside `START` for each answer.
+        preview: the control periods ahead at which the observation holds the position of the reference.
+        step_limit: time limit [s] for the decision of one vehicle, in addition to `START` for each answer.
     """
 
     def __init__(self, command: str, vehicle: Vehicle | None = None) -> None:
-        """Start a program, greet it, and ask it for a first action.
+        """Start a program, send the greeting, and request a first action.
 
         Args:
-            command: its words.
-            vehicle: the known one, which it is told; None: the paper's.
+            command: program and arguments.
+            vehicle: the nominal one, which the greeting describes; None: the paper's.
 
         Raises:
-            ProgramError: it cannot be started, or does not answer as it should.
+            ProgramError: the program cannot be started, or an answer is wrong.
         """
         self.step_limit = DECISION
-        self._talk = _Talk(command)
-        known = PAPER_VEHICLE if vehicle is None else vehicle
-        with self._talk.blamed():
-            answer = self._talk.ask(greeting(known), START)
+        self._program = _Program(command)
+        nominal = PAPER_VEHICLE if vehicle is None else vehicle
+        with self._program.errors():
+            answer = self._program.ask(greeting(nominal), START)
             if unknown := sorted(set(answer) - {"preview"}):
-                raise ProgramError(f"it greets with {unknown[0]!r}; known is 'preview' alone")
+                raise ProgramError(f"its greeting has the entry {unknown[0]!r}; allowed is only 'preview'")
             self.preview = checked_preview(answer.get("preview", []))
         ahead = [x for n in self.preview for x in (_EXAMPLE.u_R * _EXAMPLE.dt * n, 0.0)]
         self.predict(np.append(encode_observation(_EXAMPLE), ahead))
@@ -88,13 +89,13 @@ class ProgramPolicy(Batched):
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return actions, and what only counts the vehicles: the program itself remembers; see `Batched`.
+        """Return actions and a memory without columns, since the program keeps its own; see `Batched`.
 
-        It is told that episodes start where `state` is None or `episode_start`, shape (N,), is True.
+        The program is informed of the start of an episode if `state` is None or `episode_start`, shape (N,), is True.
 
         Raises:
-            ProgramError: it has ended, is silent, or gives no N pairs of numbers.
-            ValueError: the observation has too many columns, or `state` is of another number of vehicles.
+            ProgramError: the program has ended, does not answer in time, or does not return N pairs of numbers.
+            ValueError: the observation has a wrong number of columns, or `state` is of another number of vehicles.
         """
         del deterministic
         n, width = len(rows), SIZE + 2 * len(self.preview)
@@ -105,12 +106,12 @@ class ProgramPolicy(Batched):
         begins = state is None or (False if episode_start is None else episode_start)
         starts = np.broadcast_to(np.asarray(begins, dtype=bool), n)
         question = {"observations": rows.tolist(), "starts": starts.tolist()}
-        with self._talk.blamed():
-            return _actions(self._talk.ask(question, START + n * self.step_limit), n), (np.zeros((n, 0)),)
+        with self._program.errors():
+            return _actions(self._program.ask(question, START + n * self.step_limit), n), (np.zeros((n, 0)),)
 
 
 def greeting(vehicle: Vehicle) -> dict[str, Any]:
-    """Return what a program is told first: what is the same in all scenarios, and the known vehicle."""
+    """Return the first message to a program: version, observation, action and nominal vehicle."""
     return {
         "auv_gym": PROTOCOL,
         "observation": [term._asdict() for term in TERMS],
@@ -130,19 +131,19 @@ def _actions(answer: Mapping[str, Any], n: int) -> NDArray[np.float32]:
         pair = isinstance(row, list) and len(row) == 2
         if not pair or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in row):
             raise ProgramError(f"its action {i} of {n} is {_cut(json.dumps(row))}; it must be two numbers")
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused as that
+    with np.errstate(over="ignore"):  # too large numbers become infinite, which `Batched` rejects
         return np.array(rows, dtype=np.float64).astype(np.float32)
 
 
-class _Talk:
-    """A running program: a question, an answer, and in the end nothing that still runs."""
+class _Program:
+    """A running program that answers questions; `end` kills it and its child processes."""
 
     def __init__(self, command: str) -> None:
         self.command, mark = command, f"{MARK}{secrets.token_hex(8)}"
         try:
             words = shlex.split(command)
             if not words:
-                raise ValueError("there is no word behind cmd:")
+                raise ValueError("there is no command after cmd:")
             pipe = subprocess.PIPE
             process = subprocess.Popen(
                 words,
@@ -157,56 +158,47 @@ class _Talk:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error.strerror}: {error.filename}") from error
         except ValueError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error}") from error
-        self._process, self._said = process, _SteadyRmse(process.stderr)
+        self._process, self._stderr = process, _LastOutput(process.stderr)
         self.end = weakref.finalize(self, _end, process, mark)
 
-    def blamed(self) -> _Blamed:
-        """Return a context in which whatever goes wrong is said to be this program's, which is ended then."""
-        return _Blamed(self)
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """End the program if an error is raised, and name its command in the message of a ValueError."""
+        try:
+            yield
+        except BaseException as error:
+            self.end()
+            if isinstance(error, ValueError):
+                raise ProgramError(" ".join(f"{COMMAND}{self.command}: {error}".split())) from None
+            raise
 
     def ask(self, question: Mapping[str, Any], seconds: float) -> dict[str, Any]:
-        """Return the answer to a question; raise ProgramError if there is none in time, or it is no table."""
+        """Return the answer to a question; raise ProgramError if it is late or not a JSON object."""
         text, line = json.dumps(question, allow_nan=False).encode() + b"\n", bytearray()
-        talk = threading.Thread(target=_exchange, args=(self._process, text, line), daemon=True)
-        talk.start()
-        talk.join(min(seconds, LONGEST_WAIT))  # its pipes may be held open by what it has started
-        if talk.is_alive():
+        exchange = threading.Thread(target=_exchange, args=(self._process, text, line), daemon=True)
+        exchange.start()
+        exchange.join(min(seconds, LONGEST_WAIT))  # its child processes may keep the pipes open
+        if exchange.is_alive():
             self.end()
-            raise ProgramError(f"it has not answered for {seconds:.3g} s{self._said}")
+            raise ProgramError(f"it has not answered for {seconds:.3g} s{self._stderr}")
         if len(line) > LONGEST_ANSWER:
             raise ProgramError(f"its answer is longer than {LONGEST_ANSWER} bytes")
         if not line.endswith(b"\n"):
             raise ProgramError(self._ending())
-        return _table(bytes(line))
+        return _json_object(bytes(line))
 
     def _ending(self) -> str:
-        """Return how the program has ended."""
+        """Return a message that says how the program has ended."""
         try:
             status = self._process.wait(FAREWELL)
         except subprocess.TimeoutExpired:
-            return f"it has closed its standard output{self._said}"
+            return f"it has closed its standard output{self._stderr}"
         how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with status {status}"
-        return f"it has ended {how}{self._said}"
+        return f"it has ended {how}{self._stderr}"
 
 
-class _Blamed:
-    """Names the program in what goes wrong, and ends it."""
-
-    def __init__(self, talk: _Talk) -> None:
-        self.talk = talk
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, _: object) -> None:
-        if error is not None:
-            self.talk.end()
-        if isinstance(error, ValueError):
-            raise ProgramError(" ".join(f"{COMMAND}{self.talk.command}: {error}".split())) from None
-
-
-class _SteadyRmse:
-    """The end of what a program says on its standard error, read so that it never has to wait for a reader."""
+class _LastOutput:
+    """The last bytes of a program's standard error, read in a thread so that the pipe never blocks the program."""
 
     def __init__(self, stream: Any) -> None:
         self._kept = b""
@@ -221,20 +213,20 @@ class _SteadyRmse:
     def __str__(self) -> str:
         self._thread.join(FAREWELL)
         lines = self._kept.decode(errors="replace").strip().splitlines()
-        return f"; its last words: {lines[-1]}" if lines else ""
+        return f"; the last line of its stderr: {lines[-1]}" if lines else ""
 
 
-def _table(line: bytes) -> dict[str, Any]:
-    """Return the table that a line of JSON holds."""
+def _json_object(line: bytes) -> dict[str, Any]:
+    """Return the JSON object of a line; raise ProgramError if it is something else, or reports an error."""
     first, _, more = line.partition(b"\n")
     if more:
         raise ProgramError(f"it answers with more than one line: {_cut(more.decode(errors='replace'))}")
-    with guarded(f"it answers {_cut(first.decode(errors='replace'))}, which is no JSON; remarks belong on stderr"):
+    with guarded(f"it answers {_cut(first.decode(errors='replace'))}, which is not JSON; write other output to stderr"):
         answer = checked_plain(json.loads(first))
     if not isinstance(answer, dict):
-        raise ProgramError(f"it answers {_cut(json.dumps(answer))}, which is no table")
+        raise ProgramError(f"it answers {_cut(json.dumps(answer))}, which is not a JSON object")
     if isinstance(answer.get("error"), str):
-        raise ProgramError(f"it says: {answer['error'][:LAST_WORDS]}")
+        raise ProgramError(f"it reports: {answer['error'][:LAST_WORDS]}")
     return answer
 
 
@@ -243,19 +235,19 @@ def _cut(text: str) -> str:
 
 
 def _exchange(process: subprocess.Popen[bytes], question: bytes, line: bytearray) -> None:
-    """Write a question to a program and add what it answers, up to the end of the line, to an array."""
+    """Write a question to a program and append its answer, up to the end of the line, to `line`."""
     assert process.stdin is not None
     assert process.stdout is not None
-    with suppress(OSError, ValueError):  # what has ended reads nothing
+    with suppress(OSError, ValueError):  # the program has ended
         while question:
             question = question[process.stdin.write(question) :]
-    with suppress(OSError, ValueError):  # the pipe was closed, since it took too long
+    with suppress(OSError, ValueError):  # the pipe was closed after the time limit
         while not line.endswith(b"\n") and len(line) <= LONGEST_ANSWER and (part := process.stdout.read(2**16)):
             line += part
 
 
 def _end(process: subprocess.Popen[bytes], mark: str) -> None:
-    """Let a program end: close its standard input, and kill what is left of it after a while."""
+    """Close a program's standard input, then kill it and its child processes if they still run after `FAREWELL`."""
     with suppress(OSError, ValueError):
         if process.stdin is not None:
             process.stdin.close()
@@ -277,21 +269,21 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
         process.stdout.close()
 
 
-_ROUNDS = 100  # of killing what a program has started, which may start more meanwhile
+_ROUNDS = 100  # attempts to kill the child processes, which may start new ones meanwhile
 
 
 def _marked(mark: str) -> Iterator[int]:
-    """Yield the processes with an environment variable, where the system shows it: in whatever session they are."""
+    """Yield the ids of processes with an environment variable, on systems that have /proc."""
     for file in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):  # it has ended, or is another user's
+        with suppress(OSError):  # it has ended, or belongs to another user
             if f"{mark}=".encode() in file.read_bytes():
                 yield int(file.parent.name)
 
 
 def files_of(words: Sequence[str]) -> list[Path]:
-    """Return the files that the words of a command name: a word itself, what is behind its first "=", or in a folder.
+    """Return the files that a command names: a word, the part of a word after its first "=", or the files of a folder.
 
-    In a folder all files count, those of its folders too, but for hidden ones and Python's caches.
+    The files of a folder include those of its subfolders, except hidden files and Python's caches.
 
     Raises:
         ValueError: a folder holds more than `MOST_FILES` files.
@@ -313,7 +305,7 @@ def _inside(folder: str) -> list[Path]:
         found += [file for name in names if not name.startswith(".") and (file := Path(where, name)).is_file()]
         if len(found) > MOST_FILES:
             raise ValueError(
-                f"the command names the folder {folder}, which holds more than {MOST_FILES} files, too many to watch "
-                "for changes: name a file, or a smaller folder"
+                f"the command names the folder {folder}, which holds more than {MOST_FILES} files, too many for a "
+                "fingerprint: name a file, or a smaller folder"
             )
     return sorted(found)

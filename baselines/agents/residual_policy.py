@@ -1,4 +1,4 @@
-"""A trained agent as a policy: an expert's action plus a bounded correction by a network, without torch."""
+"""Policy of a trained agent: an expert's action plus a bounded correction by a network, without torch."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
 from baselines.similar import shown_factors
 
 BLOCK = 128
-"""Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
+"""Most vehicles in one call of the network, so that intermediate results stay in the processor's cache."""
 _Symbols = Sequence[Symbol]
 
 
@@ -31,19 +31,19 @@ _Symbols = Sequence[Symbol]
 def feature_kernel(
     inputs: Inputs,
     forces: Forces | None,
-    hull: Coefficients = PAPER_VEHICLE.coefficients,
+    vehicle: Coefficients = PAPER_VEHICLE.coefficients,
     units: Units = Units(),  # noqa: B008, it is frozen
 ) -> Kernel:
-    """Return the kernel from an observation, with its preview's columns `ahead`, to the features.
+    """Return the kernel that computes the features from an observation and its preview, `ahead`.
 
-    Its results: terms, the observation's in SI units; errors, see `scaled_errors`; features and integrals, see
-    `Inputs.update`; base, the expert's action.
+    Its results are `terms`, those of the observation in SI units; `errors`, see `scaled_errors`; `features` and
+    `integrals`, see `Inputs.update`; and `base`, the expert's action.
 
     Args:
-        inputs: what the network sees.
-        forces: of the expert, if it is a law; None: its action, base, is an argument.
-        hull: the known vehicle, see `Inputs.update`.
-        units: in which everything is seen, while the observation is in SI units; none, and neither is scaled.
+        inputs: features of the network.
+        forces: of the expert, if it is a law. None: the expert's action `base` is an input of the kernel.
+        vehicle: the nominal one, see `Inputs.update`.
+        units: in which the features are computed from an observation in SI units. By default nothing is scaled.
     """
     factors = () if units == Units() else shown_factors(units)
 
@@ -53,10 +53,10 @@ def feature_kernel(
         o = decode(observation, SYMBOLS)
         if factors:
             o = [term * factor for term, factor in zip(o, factors, strict=True)]
-            ahead = [way * (1 / units.length) for way in ahead]
+            ahead = [distance * (1 / units.length) for distance in ahead]
         if forces is not None:
-            base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as `Law.predict` gives it
-        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, hull)
+            base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
+        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, vehicle)
         errors = scaled_errors(o, SYMBOLS)
         return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
 
@@ -67,7 +67,7 @@ def feature_kernel(
 
 @lru_cache(maxsize=1)
 def command_kernel() -> Kernel:
-    """Return the kernel of `corrected`, in single precision as every policy's action."""
+    """Return the kernel of `corrected`, whose result is in single precision, as the actions of all policies."""
 
     def equation(base: _Symbols, authority: _Symbols, correction: _Symbols) -> Mapping[str, _Symbols]:
         rule = zip(base, authority, correction, strict=True)
@@ -76,28 +76,28 @@ def command_kernel() -> Kernel:
     return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), OUTPUTS))
 
 
-class _Desk:
-    """The arrays of n vehicles that the kernels read and write."""
+class _Buffers:
+    """Arrays for n vehicles, and the kernels that read and write them."""
 
     def __init__(self, n: int, features: Kernel) -> None:
         command = command_kernel()
         rows = features.rows | command.rows
         self.arrays = {name: np.zeros((size, n)) for name, size in rows.items()}
-        self.see = features.bound(**{name: self.arrays[name] for name in features.rows})
-        self.command = command.bound(**{name: self.arrays[name] for name in command.rows})
+        self.compute_features = features.bound(**{name: self.arrays[name] for name in features.rows})
+        self.compute_command = command.bound(**{name: self.arrays[name] for name in command.rows})
 
 
 class ResidualPolicy(Batched):
     """command = clip(expert + authority * network(features)).
 
-    Its memory: what its inputs remember, (N, `Inputs.memory`); the last correction, (N, 2); the network's hidden
-    state, (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's
-    actions as they are, bit for bit. It is for one thread at a time.
+    Its memory is that of its inputs, (N, `Inputs.memory`), the last correction, (N, 2), the hidden state of the
+    network, (N, hidden), then the memory of the expert. With a correction of zero the command is exactly that of the
+    expert. An instance must not be used by several threads at the same time.
     """
 
     remembers = True
     OWN = 3
-    """Arrays of its memory in front of the expert's."""
+    """Number of arrays of its memory before those of the expert."""
 
     def __init__(
         self,
@@ -109,12 +109,20 @@ class ResidualPolicy(Batched):
         inputs: Inputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = ALL_SPEEDS,
-        hull: Coefficients = PAPER_VEHICLE.coefficients,
+        vehicle: Coefficients = PAPER_VEHICLE.coefficients,
     ) -> None:
-        """Make the policy of checked weights.
+        """Make the policy.
 
-        With a region, see `trust`, corrections fade outside of it; the network computes in a precision, "float64" or
-        "float32". For the speeds see `Batched`. The hull is the known vehicle, see `Inputs.update`.
+        Args:
+            expert: the policy that the network corrects.
+            network: kind and sizes.
+            weights: of the network, checked by `networks.check_weights`.
+            authority: largest correction of surge and yaw, as fractions of the limits.
+            region: of errors outside of which corrections fade, see `trust`. None: they do not fade.
+            inputs: features of the network.
+            precision: of the network, "float64" or "float32".
+            speeds: see `Batched`.
+            vehicle: the nominal one, see `Inputs.update`.
         """
         self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs
@@ -122,13 +130,13 @@ class ResidualPolicy(Batched):
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
-        self._hull = hull if inputs.hull else PAPER_VEHICLE.coefficients  # who does not look shares one kernel
-        self._desk: tuple[int, _Desk] | None = None
-        self._at(1)  # what is to be compiled is compiled before it has to decide
+        self._vehicle = vehicle if inputs.hull else PAPER_VEHICLE.coefficients  # else all vehicles share one kernel
+        self._buffers: tuple[int, _Buffers] | None = None
+        self._buffers_for(1)  # compiles the kernels before the first action
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything but the addresses of memory."""
-        return self.__dict__ | {"_desk": None}
+        """Return the attributes without addresses of memory."""
+        return self.__dict__ | {"_buffers": None}
 
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
@@ -137,8 +145,8 @@ class ResidualPolicy(Batched):
         del deterministic
         n = len(rows)
         integrals, correction, hidden = self._renewed(state, n, episode_start)
-        desk = self._at(n)
-        arrays = desk.arrays
+        buffers = self._buffers_for(n)
+        arrays = buffers.arrays
         arrays["observation"][:] = rows[:, :SIZE].T
         if self._seen:
             arrays["ahead"][:] = rows[:, SIZE:].T[self._seen]
@@ -148,20 +156,20 @@ class ResidualPolicy(Batched):
             seen = np.hstack((rows[:, :SIZE], rows[:, SIZE:][:, self._seen_by_expert]))
             action, past = self.expert.predict(seen, past or None, episode_start)
             arrays["base"][:] = action.T
-        desk.see(0, 1)
+        buffers.compute_features(0, 1)
         if self._law is not None:
             terms = arrays["terms"]
             self._law.check(terms.ravel().tolist() if n == 1 else terms)
-        correction, hidden = self._applied(arrays["features"].astype(self.precision, copy=False), hidden.T)
+        correction, hidden = self._forward(arrays["features"].astype(self.precision, copy=False), hidden.T)
         if self.region is not None:
             correction = correction * trust(arrays["errors"], self.region)
         arrays["correction"][:], arrays["authority"][:] = correction, self.authority[:, None]
-        desk.command(0, 1)
+        buffers.compute_command(0, 1)
         memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
         return arrays["command"].T.astype(np.float32), memory
 
-    def _applied(self, features: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return correction and hidden state of `Network.forward`, block by block."""
+    def _forward(self, features: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return correction and hidden state of `Network.forward`, computed in blocks of vehicles."""
         n = features.shape[1]
         if n <= BLOCK:
             return self.network.forward(self._layers, features, hidden)
@@ -171,30 +179,30 @@ class ResidualPolicy(Batched):
         return correction, hidden
 
     def _renewed(self, state: Memory | None, n: int, episode_start: Starts) -> Memory:
-        """Return this policy's own memory of n vehicles."""
+        """Return the memory of n vehicles without that of the expert, reset where an episode begins."""
         if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
             return state[: self.OWN]
-        held_out = (
+        initial = (
             np.zeros((n, self.inputs.memory)),
             np.zeros((n, OUTPUTS)),
             np.zeros((n, self.network.memory), self.precision),
         )
-        return renewed(state and state[: self.OWN], held_out, episode_start)
+        return renewed(state and state[: self.OWN], initial, episode_start)
 
-    def _at(self, n: int) -> _Desk:
-        """Return the arrays of n vehicles, those of the last call if it was of as many."""
-        if self._desk is None or self._desk[0] != n:
+    def _buffers_for(self, n: int) -> _Buffers:
+        """Return the buffers for n vehicles; those of the last call are used again if it had the same number."""
+        if self._buffers is None or self._buffers[0] != n:
             forces = None if self._law is None else self._law.forces
-            self._desk = n, _Desk(n, feature_kernel(self.inputs, forces, self._hull))
-        return self._desk[1]
+            self._buffers = n, _Buffers(n, feature_kernel(self.inputs, forces, self._vehicle))
+        return self._buffers[1]
 
 
 def trust(errors: Array, region: Array) -> Array:
-    """Return the share of a correction that is applied, shape (N,): 1 inside a region, falling to 0 at twice its size.
+    """Return the factor on a correction, shape (N,): 1 inside a region, decreasing to 0 at twice its size.
 
     Args:
         errors: the first features, `features.ERROR_FEATURES` rows of shape (N,).
-        region: the largest magnitude of each that the network has learned from, shape (ERROR_FEATURES,).
+        region: largest magnitude of each of them in training, shape (ERROR_FEATURES,).
     """
     farthest = (np.abs(errors) / region[:, None]).max(axis=0)
     return np.asarray(np.clip(2.0 - farthest, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Models that Stable-Baselines3 or sb3-contrib has saved, as policies: pickled objects, which can run any code."""
+"""Policies from models of Stable-Baselines3 and sb3-contrib. The files hold pickled objects, which can run any code."""
 
 from __future__ import annotations
 
@@ -26,20 +26,26 @@ _ALGORITHMS = {
     "sb3_contrib.crossq.policies": ("sb3_contrib", "CrossQ"),
     "sb3_contrib.ars.policies": ("sb3_contrib", "ARS"),
 }
-"""Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
+"""Package and class that load a model, by the module of its network. PPO also loads A2C and TRPO, TD3 also DDPG."""
 STATISTICS = "vecnormalize.pkl"
-"""The file in which rl_zoo3 keeps the statistics of `VecNormalize`, beside a model or in a folder beside it."""
+"""File of rl_zoo3 with the statistics of `VecNormalize`, beside a model or in a folder beside it."""
 _AUTHORITY = 0.5
-"""Authority of the residual environment, if nothing else is asked for."""
+"""Default authority of the residual environment."""
 LARGEST_DATA = 2**26
 """Largest description [bytes] that is read."""
 
 
 class _Model(Batched):
-    """A model whose observations are normalised as they were in training, and whose action may correct an expert's."""
+    """A model with the normalisation of its training, whose action may correct that of an expert.
+
+    Args:
+        model: as loaded.
+        statistics: the `VecNormalize` of its training, if there was one.
+        expert: the policy that it corrects, if there is one.
+        authority: of the corrections.
+    """
 
     def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = _AUTHORITY) -> None:
-        """Take a loaded model, the `VecNormalize` that it was trained behind, and the expert that it corrects."""
         self.model, self.statistics, self.expert = model, statistics, expert
         self.authority = np.array(checked_authority(authority))
 
@@ -59,17 +65,17 @@ class _Model(Batched):
     ) -> tuple[NDArray[np.float32], Memory | None]:
         if self.statistics is not None:
             observation = self.statistics.normalize_obs(observation)
-        action, state = self.model.predict(observation, _turned(state), *rest)
-        return action, _turned(state)
+        action, state = self.model.predict(observation, _swapped(state), *rest)
+        return action, _swapped(state)
 
 
-def _turned(memory: Memory | None) -> Memory | None:
-    """Return a recurrent model's memory with its first two axes, layers and vehicles, the other way round."""
+def _swapped(memory: Memory | None) -> Memory | None:
+    """Return a recurrent model's memory with its first two axes, layers and vehicles, swapped."""
     return memory and tuple(array.swapaxes(0, 1) for array in memory)
 
 
 def statistics_file(file: Path) -> Path | None:
-    """Return the file with the statistics that a model was trained behind, if there is one beside it."""
+    """Return the file with the normalisation statistics of a model, None if there is none beside it."""
     beside = (file.with_name(STATISTICS), file.with_suffix("") / STATISTICS)
     found = [path for path in beside if path.is_file()] or sorted(file.parent.glob(f"*/{STATISTICS}"))
     return found[0] if len(found) == 1 or (found and found[0] in beside) else None
@@ -79,13 +85,13 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
     """Return the policy of a FILE.zip.
 
     Args:
-        file: the model; `VecNormalize`'s statistics beside it are used.
-        expert: what a model corrects that was trained on the residual environment, without memory.
-        authority: of those corrections.
+        file: the model; statistics of `VecNormalize` beside it are used.
+        expert: a policy without memory, which a model of the residual environment corrects.
+        authority: of the corrections.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: it is damaged, or of another task.
+        OSError: the file cannot be read.
+        ValueError: the file is damaged, or the model is of another task.
     """
     package, algorithm = _algorithm(file)
     try:
@@ -99,12 +105,12 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
         statistics = pickle.loads(beside.read_bytes()) if beside else None
     except OSError:
         raise
-    except (Exception, SystemExit) as error:  # whatever a damaged or foreign pickle raises
+    except (Exception, SystemExit) as error:  # a damaged or foreign pickle can raise anything
         raise ValueError(f"{file} cannot be loaded: {type(error).__name__}: {error}") from error
     if shapes not in (((SIZE,), (2,)), ((SIZE + 2,), (2,))):
         raise ValueError(
-            f"{file} takes observations {shapes[0]} and gives actions {shapes[1]}; here they are ({SIZE},), or "
-            f"({SIZE + 2},) of the residual environment, and (2,): wrap it in a module and name FILE.py:FACTORY"
+            f"{file} takes observations {shapes[0]} and returns actions {shapes[1]}; here they are ({SIZE},), or "
+            f"({SIZE + 2},) in the residual environment, and (2,): wrap it in a module and use FILE.py:FACTORY"
         )
     return _Model(model, statistics, expert if shapes[0] == (SIZE + 2,) else None, authority)
 
@@ -119,7 +125,7 @@ def _algorithm(file: Path) -> tuple[str, str]:
     except OSError:
         raise
     except Exception as error:  # zipfile.BadZipFile, zlib.error, KeyError, TypeError, RecursionError ...
-        raise ValueError(f"{file} is no model of Stable-Baselines3: {error}") from error
+        raise ValueError(f"{file} is not a model of Stable-Baselines3: {error}") from error
     if not isinstance(module, str) or module not in _ALGORITHMS:
-        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(_ALGORITHMS)}")
+        raise ValueError(f"{file} has a network of {module}; allowed are those of {', '.join(_ALGORITHMS)}")
     return _ALGORITHMS[module]

@@ -1,4 +1,4 @@
-"""Control laws, one a file, and their names."""
+"""Control laws, one per file, and the table of their names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from baselines.control.los_pid import LineOfSightPID, PIDGains
 from baselines.control.lqi import LQI, LqiWeights
 from baselines.control.nmpc.controller import make_nmpc
 from baselines.control.open_loop import OpenLoop
-from baselines.control.privileged.clairvoyant import Clairvoyant
+from baselines.control.privileged.optimum import FullInformationOptimum
 from baselines.control.privileged.oracle import Oracle
 from baselines.control.smc_dob import SmcDob, SmcGains
 from baselines.gains.loading import tuned_policy
@@ -37,11 +37,11 @@ TUNED: dict[str, tuple[tuple[str, ...], Callable[[Mapping[str, float], Vehicle],
     "ekf": (EKF_GAINS, EkfLaw),
     "ekf-adverse": (EKF_ADVERSE_GAINS, EkfLaw),
 }
-"""Controllers with memory by name: the names of their gains, and what makes them from gains for a vehicle."""
+"""Controllers with memory by name: names of their gains, and a function that returns one for gains and a vehicle."""
 
 
 def _tuned(name: str) -> Callable[..., Policy]:
-    """Return the factory of a controller of `TUNED`, with the arguments `gains` and `vehicle` of `tuned_policy`."""
+    """Return the factory of a controller of `TUNED`; it has the arguments `gains` and `vehicle` of `tuned_policy`."""
     return partial(tuned_policy, name, *TUNED[name])
 
 
@@ -49,26 +49,30 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
         Backstepping,
         {},
-        "the paper's law; its gains in slow motion, re-tuned ones at cruise: the expert",
+        "the paper's law with the paper's gains in slow motion and retuned gains at cruise; the expert of the agents",
     ),
     "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
-    "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
-    "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
+    "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law with gains for damping up to 2 m/s"),
+    "backstepping-normalised": (
+        Backstepping,
+        {"gains": "normalised"},
+        "the speed-normalised law with gains that prevent spinning",
+    ),
     "backstepping-tuned": (
         partial(make_tuned, "backstepping-tuned", LAW_GAINS),
         {},
-        "the paper's law, its gains tuned as everybody's",
+        "the paper's law, tuned with the common budget",
     ),
     "backstepping-normalised-tuned": (
         partial(make_tuned, "backstepping-normalised-tuned", SCALED_GAINS),
         {},
-        "the speed-normalised law, its gains tuned as everybody's",
+        "the speed-normalised law, tuned with the common budget",
     ),
-    "integral": (_tuned("integral"), {}, "the paper's law with the position error's integral"),
+    "integral": (_tuned("integral"), {}, "the paper's law with integral action on the position error"),
     "integral-normalised": (
         _tuned("integral-normalised"),
         {},
-        "the speed-normalised law with the position error's integral",
+        "the speed-normalised law with integral action on the position error",
     ),
     "ilos": (_tuned("ilos"), {}, "integral line-of-sight guidance with a sway observer, for trajectories"),
     "los-pid": (_tuned("los-pid"), {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
@@ -82,25 +86,33 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "current-observer": (
         _tuned("current-observer"),
         {},
-        "the speed-normalised law in the water frame, a simple observer",
+        "the speed-normalised law in the water frame with a simple current observer",
     ),
-    "ekf": (_tuned("ekf"), {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
-    "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
+    "ekf": (
+        _tuned("ekf"),
+        {},
+        "the speed-normalised law on an extended Kalman filter of vehicle, actuators and disturbances",
+    ),
+    "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the filter of ekf, with a preview of the path"),
     "ekf-adverse": (
         _tuned("ekf-adverse"),
         {},
-        "the law of ekf on a filter of biased sensors and weak, late actuators too",
+        "ekf with a filter that also estimates sensor biases, weak actuators and a delay",
     ),
-    "nmpc-adverse": (make_nmpc, {"adverse": True}, "the control of nmpc on that filter"),
-    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: a regulator; evaluation only"),
-    "clairvoyant": (
-        Clairvoyant,
+    "nmpc-adverse": (make_nmpc, {"adverse": True}, "nmpc with the filter of ekf-adverse"),
+    "oracle": (
+        Oracle,
         {},
-        "the best that anybody could do, optimised over the whole episode: the score's 1; evaluation only",
+        "a regulator with full information about vehicle, current, waves and lag; for evaluation only",
     ),
-    "open-loop": (OpenLoop, {}, "the planner's forces alone"),
+    "clairvoyant": (
+        FullInformationOptimum,
+        {},
+        "the full-information optimum over the whole episode, which scores 1; for evaluation only",
+    ),
+    "open-loop": (OpenLoop, {}, "the planner's forces without feedback"),
 }
-"""Controllers by name: (factory, its options, one line about it). Add an entry here to use it everywhere by name."""
+"""Controllers by name: factory, its options, a short description. An entry here makes a name known everywhere."""
 
 
 def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
@@ -108,7 +120,7 @@ def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None
 
     Args:
         name: the controller's.
-        vehicle: the one that it believes in, if its factory takes one. None: the paper's.
+        vehicle: nominal model, for a factory with an argument `vehicle`. None: the paper's vehicle.
         options: of the factory.
 
     Raises:
@@ -124,9 +136,9 @@ def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None
 
 
 def vehicle_option(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
-    """Return the option that tells a factory of the known vehicle; none if there is none, or it takes no `vehicle`."""
+    """Return the option `vehicle` of a factory; empty if the vehicle is None or the factory has no such argument."""
     try:
-        takes = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
-    except (TypeError, ValueError):  # of something without a signature
-        takes = False
-    return {"vehicle": vehicle} if takes else {}
+        accepted = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):  # the factory has no signature
+        accepted = False
+    return {"vehicle": vehicle} if accepted else {}

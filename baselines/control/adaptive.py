@@ -1,18 +1,19 @@
 """The speed-normalised tracking law with L1 adaptive augmentation.
 
-N. Hovakimyan and C. Cao, L1 Adaptive Control Theory, SIAM 2010, chapters 2 and 3: a predictor of the velocities nu runs
-on the known model f and an estimate sigma of all that f leaves out,
+N. Hovakimyan and C. Cao, L1 Adaptive Control Theory, SIAM 2010, chapters 2 and 3: the velocities nu are predicted by
+the nominal model f and an estimate sigma of all unmodelled accelerations,
 
     nu^' = f(nu, F) + sigma - a (nu^ - nu),    sigma' = -Gamma (nu^ - nu).
 
-It adapts fast; robust is what is done with it, behind low-passes. Here it is sampled, and a and Gamma are those for
-which both poles of every axis are exp(-predictor dt). Where there is a current the water moves, and sigma is
+The adaptation is fast; low-pass filters on its results make the control robust. Here the predictor is discrete in time,
+and a and Gamma place both poles of every axis at exp(-predictor dt). In a current with the components c_u, c_v in the
+body frame, sigma is
 
-    m11 sigma_u = d11 c_u - (m22 - m11) r c_v,    m22 sigma_v = d22 c_v - (m22 - m11) r c_u,
+    m11 sigma_u = d11 c_u - (m22 - m11) r c_v,    m22 sigma_v = d22 c_v - (m22 - m11) r c_u.
 
-with its components c_u, c_v. Sway has no actuator that could take that away: it is solved for the current, which is
-filtered in the world, and for which the law's reference is planned anew. What is then left of sigma in surge and yaw is
-cancelled below a bandwidth.
+Sway has no actuator that could cancel sigma_v. So the two equations are solved for the current. The current is low-pass
+filtered in the world frame, and the reference of the law is planned for it. The remaining part of sigma in surge and
+yaw is cancelled up to a bandwidth.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
-from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
-from baselines.estimation.water_frame import PlannedReference, Sea, planned, reference_motion, water_errors
+from baselines.control.traced import TracedController, TracedLaw, effective_periods, predicted_velocities
+from baselines.estimation.water_frame import PlannedReference, Sea, plan_in_water, reference_motion, water_errors
 
 LARGEST_SIGMA = 10.0
 """Bound [m/s^2], [rad/s^2] of sigma."""
@@ -41,12 +42,12 @@ class AdaptiveGains(NamedTuple):
     cr: Number  # [1/s]
     reference_speed: Number  # [m/s]
     predictor: Number  # [1/s] poles of the predictor
-    drift: Number  # [1/s] with which the current is found
-    bandwidth: Number  # [1/s] below which surge and yaw loads are cancelled
+    drift: Number  # [1/s] bandwidth of the current's filter
+    bandwidth: Number  # [1/s] up to which loads in surge and yaw are cancelled
 
 
 class AdaptiveMemory(NamedTuple):
-    """What is remembered: of the planner, see `water_frame.PlannedReference`, and of the adaptation."""
+    """Memory of the planner, see `water_frame.PlannedReference`, and of the adaptation."""
 
     count: Number
     a_x: Number
@@ -61,41 +62,41 @@ class AdaptiveMemory(NamedTuple):
     sigma_u: Number  # [m/s^2]
     sigma_v: Number  # [m/s^2]
     sigma_r: Number  # [rad/s^2]
-    u_last: Number  # [m/s] measured last, over ground
+    u_last: Number  # [m/s] last measured velocities over ground
     v_last: Number  # [m/s]
     r_last: Number  # [rad/s]
     V_x: Number  # [m/s] current in the world
     V_y: Number  # [m/s]
-    X: Number  # [N] load that is cancelled
+    X: Number  # [N] cancelled load
     N: Number  # [N m]
 
 
-_PLAN = len(PlannedReference._fields)  # how many entries are the planner's
-_AT: Any = AdaptiveMemory._make(range(len(AdaptiveMemory._fields)))  # where each entry stands
+_PLAN = len(PlannedReference._fields)  # number of entries of the planner
+_AT: Any = AdaptiveMemory._make(range(len(AdaptiveMemory._fields)))  # index of each entry
 AT_PREDICTED = slice(_AT.u, _AT.sigma_u)  # the predicted velocities
 AT_SIGMA = slice(_AT.sigma_u, _AT.u_last)  # sigma of the three axes
-AT_LAST = slice(_AT.u_last, _AT.V_x)  # the velocities measured last
+AT_LAST = slice(_AT.u_last, _AT.V_x)  # the last measured velocities
 
 
 def adaptive(
     o: Observation, before: AdaptiveMemory, g: AdaptiveGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[AdaptiveMemory, tuple[Number, Number]]:
-    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
-    c, held_out = vehicle, before.count <= 0.0
+    """Return the memory, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
+    c, first = vehicle, before.count <= 0.0
     measured = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
-    predicted, sigma = _adapted(o, before, measured, g.predictor, c, ns)
+    predicted, sigma = _adaptation(o, before, measured, g.predictor, c, ns)
     V_u, V_v = current_of(sigma, measured[2], c)
     V_x, V_y = to_world(V_u, V_v, o.cos_psi, o.sin_psi)
-    share = ns.where(held_out, 0.0, 1 - ns.exp(-g.drift * o.dt))
-    V_x = ns.clip(before.V_x + share * (V_x - before.V_x), -V, V)
-    V_y = ns.clip(before.V_y + share * (V_y - before.V_y), -V, V)
+    gain = ns.where(first, 0.0, 1 - ns.exp(-g.drift * o.dt))
+    V_x = ns.clip(before.V_x + gain * (V_x - before.V_x), -V, V)
+    V_y = ns.clip(before.V_y + gain * (V_y - before.V_y), -V, V)
     V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
     u, v, r = measured[0] - V_u, measured[1] - V_v, measured[2]
-    known = (c.d11 * V_u - (c.m22 - c.m11) * r * V_v) / c.m11, yaw_of_current(measured, (u, v), c)
-    share = ns.where(held_out, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
-    X = before.X + share * (c.m11 * (sigma[0] - known[0]) - before.X)
-    N = before.N + share * (c.m33 * (sigma[2] - known[1]) - before.N)
-    plan, R = planned(PlannedReference(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
+    by_current = (c.d11 * V_u - (c.m22 - c.m11) * r * V_v) / c.m11, yaw_of_current(measured, (u, v), c)
+    gain = ns.where(first, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
+    X = before.X + gain * (c.m11 * (sigma[0] - by_current[0]) - before.X)
+    N = before.N + gain * (c.m33 * (sigma[2] - by_current[1]) - before.N)
+    plan, R = plan_in_water(PlannedReference(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
     psi = ns.arctan2(o.sin_psi, o.cos_psi)
     errors = water_errors((o.e_x, o.e_y, psi, u, v, r), R, ns)
     law = undamped_symbols((g.k, g.cu, g.c, g.cr, g.reference_speed))
@@ -103,7 +104,7 @@ def adaptive(
     return AdaptiveMemory._make((*plan, *predicted, *sigma, *measured, V_x, V_y, X, N)), (F_u - X, F_r - N)
 
 
-def _adapted(
+def _adaptation(
     o: Observation,
     before: AdaptiveMemory,
     measured: tuple[Number, Number, Number],
@@ -111,24 +112,24 @@ def _adapted(
     vehicle: Coefficients,
     ns: Namespace,
 ) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return predicted velocities and sigma, each of surge, sway and yaw.
+    """Return the predicted velocities and sigma, each in surge, sway and yaw.
 
     Args:
         o: the observation in SI units.
-        before: what is remembered.
+        before: memory of the controller.
         measured: velocities over ground.
         p: [1/s] poles of the predictor.
-        vehicle: as it is known.
+        vehicle: the nominal one.
         ns: the namespace of the numbers.
     """
-    held_out, pole = before.count <= 0.0, ns.exp(-p * o.dt)
+    first, pole = before.count <= 0.0, ns.exp(-p * o.dt)
     follow, adapt = 1 - pole * pole, (1 - pole) * (1 - pole)
-    last, found = before[AT_LAST], before[AT_SIGMA]
-    moved = foreseen_velocities(o, last, found, vehicle, ns)  # from what was measured then
+    last, past = before[AT_LAST], before[AT_SIGMA]
+    model = predicted_velocities(o, last, past, vehicle, ns)
     predicted, sigma = [], []
-    axes = zip(measured, before[AT_PREDICTED], last, moved, found, effective_periods(o.dt, vehicle, ns), strict=True)
+    axes = zip(measured, before[AT_PREDICTED], last, model, past, effective_periods(o.dt, vehicle, ns), strict=True)
     for nu, old, then, now, value, period in axes:
-        error = ns.where(held_out, 0.0, ns.clip(now + (1 - follow) * (old - then), -V, V) - nu)
+        error = ns.where(first, 0.0, ns.clip(now + (1 - follow) * (old - then), -V, V) - nu)
         predicted.append(nu + error)
         sigma.append(ns.clip(value - adapt / period * error, -LARGEST_SIGMA, LARGEST_SIGMA))
     return tuple(predicted), tuple(sigma)
@@ -145,7 +146,7 @@ def current_of(sigma: tuple[Number, ...], r: Number, vehicle: Coefficients) -> t
 def yaw_of_current(
     measured: tuple[Number, Number, Number], relative: tuple[Number, Number], vehicle: Coefficients
 ) -> Number:
-    """Return sigma of yaw [rad/s^2] that a current makes, from velocities over ground and relative to the water."""
+    """Return sigma in yaw [rad/s^2] due to a current, from velocities over ground and relative to the water."""
     c = vehicle
     return (c.m22 - c.m11) * (measured[0] * measured[1] - relative[0] * relative[1]) / c.m33
 

@@ -1,8 +1,8 @@
-"""The paper's tracking law, section IV, as a pure function of the observation; its speed-normalised form; V1..V4.
+"""Tracking law of the paper, section IV, as a pure function of the observation; its speed-normalised form; V1 to V4.
 
-The law is (21), (22), (34), (40) and (47) as printed. What is known of its stability is local: eigenvalues of the loop
-linearised about steady motion, and simulations. The paper's proof has a gap after (48), where the conditions on the
-gains contradict each other, so no form of the law is claimed to be globally stable; docs/theory.md says more.
+The law is (21), (22), (34), (40) and (47) as printed. Only its local stability is established, by the eigenvalues of
+the loop linearised about steady motion and by simulations. The paper's proof has a gap after (48): the conditions on
+the gains contradict each other. So no form of the law is claimed to be globally stable, see docs/theory.md.
 """
 
 from __future__ import annotations
@@ -23,20 +23,19 @@ from auv_gym.task.policy import Law
 from baselines.gains.loading import GAINS_FOLDER, load_gains
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
-_NAME = "backstepping"  # that the file of its gains begins with
-SETS = GAINS_FOLDER / f"{_NAME}-sets.json"  # the sets of gains that have names
+SETS = GAINS_FOLDER / "backstepping-sets.json"  # named sets of gains
 
 
 class StabilityWarning(UserWarning):
-    """The law is asked to run at a speed for which its gains are not known to be stable."""
+    """The reference is faster than the largest speed for which the gains are known to be stable."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the law, named as in the paper, and the forward speeds for which they are stable.
+    """Gains of the law, named as in the paper, and the largest speed at which they are stable.
 
-    Stable: every steady circle with |turn rate| <= 0.3 rad/s, straight lines included, is exponentially stable for the
-    paper's vehicle at all speeds from 0.1 m/s to `max_speed`.
+    At all speeds from 0.1 m/s to `max_speed`, motion of the paper's vehicle on straight lines and on circles with
+    |turn rate| <= 0.3 rad/s is exponentially stable.
     """
 
     k: float  # [1/s] position
@@ -47,7 +46,7 @@ class Gains:
     kc: float  # [s^3/m^2] yaw, nonlinear damping
     cr: float  # [1/s] heading
     max_speed: float = math.inf  # [m/s]
-    reference_speed: float | None = None  # [m/s] U0 of the speed-normalised form; None: as printed
+    reference_speed: float | None = None  # [m/s] U0 of the speed-normalised form; None: the law as printed
 
     def __post_init__(self) -> None:
         for field in fields(self)[:7]:
@@ -62,22 +61,22 @@ def _gain_sets() -> dict[str, Gains]:
 
 
 GAINS = _gain_sets()
-"""Gain sets by name; `SETS` has the numbers, each set with its origin."""
+"""Gain sets by name; the file `SETS` has the numbers and the origin of each set."""
 LAW_GAINS = ("k", "k1", "cu", "ku", "c", "kc", "cr")
 """Names of the gains of the law as printed."""
 SCALED_GAINS = (*LAW_GAINS, "reference_speed")
-"""Names of those of the speed-normalised form."""
+"""Names of the gains of the speed-normalised form."""
 UNDAMPED_GAINS = ("k", "cu", "c", "cr", "reference_speed")
-"""Names of those of the speed-normalised form without nonlinear damping, for laws that know what disturbs them."""
+"""Names of the gains of the speed-normalised form without nonlinear damping, for laws that estimate disturbances."""
 
 
 def undamped(gains: Mapping[str, float]) -> Gains:
-    """Return the gains of the speed-normalised form without nonlinear damping; further ones are ignored."""
+    """Return the gains of the speed-normalised form without nonlinear damping; other entries are ignored."""
     return Gains(k1=0.0, ku=0.0, kc=0.0, **{name: gains[name] for name in UNDAMPED_GAINS})
 
 
 class BacksteppingErrors(NamedTuple):
-    """What backstepping drives to zero, and the factor g that multiplies the yaw rate in (28c)."""
+    """Error variables of backstepping, and the factor g of the yaw rate in (28c)."""
 
     z_u: Number  # [m/s] (28b)
     z_v: Number  # [m/s] (28c), times U0/U in the normalised form
@@ -86,7 +85,7 @@ class BacksteppingErrors(NamedTuple):
 
 
 def backstepping_errors(o: Sequence[Number], mass_ratio: float, gains: Gains, ns: Namespace) -> BacksteppingErrors:
-    """Return z_u, z_v, z_r and g from an observation in SI units and m11/m22."""
+    """Return z_u, z_v, z_r and g for an observation in SI units; `mass_ratio` is m11/m22."""
     e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
     kap = gains.k + gains.k1
     z_v, g = v_e + kap * e_y, mass_ratio * (u_R + u_e)  # (26): alpha = -R^T (K + K_1) x_e
@@ -116,7 +115,7 @@ def tracking_forces(
 def lyapunov_terms(
     o: Sequence[Number], vehicle: Vehicle, gains: Gains, ns: Namespace = FLOATS
 ) -> tuple[Number, Number, Number, Number]:
-    """Return V1 (25), V2 (29), V3 (38), V4 (45). They are diagnostics: V4 may grow even where the loop is stable."""
+    """Return V1 (25), V2 (29), V3 (38), V4 (45), for diagnosis; V4 can grow although the loop is stable."""
     z_u, z_v, z_r, _ = backstepping_errors(o, vehicle.m11 / vehicle.m22, gains, ns)
     e_x, e_y, psi_e = o[:3]
     V1 = 0.5 * (e_x * e_x + e_y * e_y)
@@ -128,8 +127,8 @@ def lyapunov_terms(
 def bounded_error(o: Sequence[Number], horizon: float, ns: Namespace = FLOATS) -> Sequence[Number]:
     """Return the observation with its position error e replaced by e / sqrt(1 + |e|^2 / (horizon U)^2).
 
-    U is the reference speed and `horizon` [s] the time in which the vehicle would travel the largest error that the law
-    still sees; that bounds the heading it asks for and its forces.
+    U is the reference speed. The bounded error is less than the distance that the reference travels in `horizon` [s].
+    This bounds the commanded heading and forces.
     """
     e_x, e_y, *rest = o
     U2 = squared_speed(o[U_R], o[V_R], ns)
@@ -141,10 +140,10 @@ class Backstepping(Law):
     """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
 
     Args:
-        gains: a `Gains`, a name in `GAINS`, or two `Gains`: the first for references slower than
-            `policy.CRUISE_SPEED`, the second for faster ones; "auto": the paper's gains and the cruise gains.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-        horizon: bound on the position error as a travel time [s], see `bounded_error`; None: no bound.
+        gains: a `Gains`, a name in `GAINS`, or two `Gains`: the first for references up to `policy.CRUISE_SPEED`, the
+            second for faster ones. "auto": the paper's gains and the cruise gains.
+        vehicle: nominal model of the law; an object, a name or a dict.
+        horizon: bound on the position error as a travel time [s], see `bounded_error`. None: no bound.
 
     Raises:
         ValueError: unknown gains or vehicle, or a horizon that is not positive.
@@ -181,34 +180,30 @@ class Backstepping(Law):
         return ns.where(fast, fast_forces[0], slow_forces[0]), ns.where(fast, fast_forces[1], slow_forces[1])
 
     def check(self, terms: Any) -> None:
-        """Warn, once, where the reference is too fast for the gains."""
+        """Warn once if the reference is too fast for the gains."""
         u_R = terms[U_R] if isinstance(terms, list) else float(terms[U_R].max(initial=0.0))
-        if u_R > self._max_speed:
-            self._warn(u_R)
-
-    def _warn(self, u_R: float) -> None:
-        if not self._warned:
+        if u_R > self._max_speed and not self._warned:
             self._warned = True
             warnings.warn(
-                f"these gains are stable up to {self._max_speed:g} m/s, the reference runs at {u_R:.3g} m/s: "
-                "expect growing oscillations; gains 'auto', 'robust' or 'normalised' go further",
+                f"these gains are stable up to {self._max_speed:g} m/s, but the reference speed is {u_R:.3g} m/s: "
+                "expect growing oscillations; the gains 'auto', 'robust' and 'normalised' are stable at higher speeds",
                 StabilityWarning,
-                stacklevel=4,
+                stacklevel=3,
             )
 
 
 def make_tuned(
     name: str, names: Sequence[str], vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
 ) -> Backstepping:
-    """Return the law with gains that were tuned with the budget of every controller, by the speed of the reference.
+    """Return the law with tuned gains, one set per speed range, selected by the speed of the reference.
 
     Args:
-        name: that the files of its gains begin with.
+        name: the files of its gains begin with it.
         names: of its gains.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+        vehicle: nominal model of the law; an object, a name or a dict.
 
     Raises:
-        ValueError: unknown vehicle, or a file is not what it must be, see `load_gains`.
+        ValueError: unknown vehicle, or a file is not valid, see `load_gains`.
     """
     slow, cruise = (Gains(**load_gains(name, speed_range, names)) for speed_range in SPEED_RANGES)
     return Backstepping((slow, cruise), vehicle)

@@ -1,7 +1,7 @@
-"""The speed-normalised tracking law on what an extended Kalman filter believes.
+"""The speed-normalised tracking law on the estimates of an extended Kalman filter.
 
-It steers in the water frame: current and sway load enter the plan, surge and yaw load are cancelled, and the command
-runs ahead of the actuators by what they are behind, as far as their lag is known.
+It controls the vehicle in the water frame. Current and sway load enter the plan, the loads in surge and yaw are
+cancelled, and the command compensates the estimated lag of the actuators.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
-from baselines.estimation.faults import arrived
+from baselines.estimation.faults import after_delay
 from baselines.estimation.kalman import (
-    BELIEVED,
+    FAULT_FILTER_ROWS,
     FAULT_TUNING,
     FILTER_TUNING,
     VEHICLE_ROWS,
@@ -32,29 +32,29 @@ from baselines.estimation.kalman import (
     tuning_of,
 )
 from baselines.estimation.sea_model import STATE_SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
-from baselines.estimation.water_frame import PlannedReference, Sea, planned, reference_motion, water_errors
+from baselines.estimation.water_frame import PlannedReference, Sea, plan_in_water, reference_motion, water_errors
 from baselines.policy import Memory, is_fast, squared_speed
 
-_NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
-_FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say
-FAR_HEADING = 1.0  # [rad] heading error from which they have
-EKF_LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
+_NEAR = 3.0  # [s] bound of the position error for the tuned gains, see `backstepping.bounded_error`
+_FAR = 8.0  # [s] travel time of the position error at which the expert's gains have a weight of one half
+FAR_HEADING = 1.0  # [rad] heading error at which the expert's gains have a weight of one half
+EKF_LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the gains of the law
 EKF_GAINS = (*EKF_LAW_GAINS, *FILTER_TUNING)
-"""Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
-approach what the law asks for; and the filter's `Tuning`."""
+"""Names of the gains: those of the law, see `backstepping.undamped`; `lead` [1/s], the desired rate at which the
+actuators' force approaches the commanded force; and the filter's `Tuning`."""
 EKF_ADVERSE_GAINS = (*EKF_LAW_GAINS, *FAULT_TUNING)
-"""Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
+"""Names of the gains with a filter that estimates faults: its `FaultTuning` replaces the `Tuning`."""
 
 
 class EkfLaw:
     """The law with its filter, a `Controller`.
 
-    Its memory is that of the filter, then that of the planner in the water frame, the rows of a
+    Its memory is that of the filter, then that of the planner in the water frame: the rows of a
     `water_frame.PlannedReference`, shape (N, 7).
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `EKF_GAINS`, or in `EKF_ADVERSE_GAINS`."""
+        """Make the controller; the names of its gains are `EKF_GAINS` or `EKF_ADVERSE_GAINS`."""
         self.vehicle, self.gains = vehicle, undamped(gains)
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         self._known = np.array((*vehicle.coefficients, *(gains[name] for name in EKF_LAW_GAINS)))[:, None]
@@ -64,18 +64,18 @@ class EkfLaw:
         return *self.filter.start(n), np.zeros((len(PlannedReference._fields), n)).T
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        *believed, plan = memory
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
+        *filters, plan = memory
         terms = np.array(o)
-        after, z = self.filter.update(tuple(believed), terms)
-        found = law_kernel(self.filter.faults)(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
-        F_u, F_r = found["force"]
-        return F_u, F_r, (*after, found["plan"].T)
+        after, z = self.filter.update(tuple(filters), terms)
+        result = law_kernel(self.filter.faults)(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
+        F_u, F_r = result["force"]
+        return F_u, F_r, (*after, result["plan"].T)
 
 
 @cache
 def law_kernel(faults: bool = False) -> Kernel:
-    """Return the kernel of the law, which takes observation, vehicle and gains, the filter's state and the plan."""
+    """Return the kernel of the law; its inputs are observation, vehicle and gains, state of the filter, and plan."""
 
     def equation(
         o: Sequence[Symbol], known: Sequence[Symbol], z: Sequence[Symbol], plan: Sequence[Symbol]
@@ -89,13 +89,13 @@ def law_kernel(faults: bool = False) -> Kernel:
     rows = {
         "o": len(Observation._fields),
         "known": VEHICLE_ROWS + len(EKF_LAW_GAINS),
-        "z": BELIEVED if faults else STATE_SIZE,
+        "z": FAULT_FILTER_ROWS if faults else STATE_SIZE,
     }
     return Kernel.traced(equation, {**rows, "plan": len(PlannedReference._fields)}, structural=True, blocked=True)
 
 
 def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
-    """Return what `backstepping.undamped` does for the gains `UNDAMPED_GAINS` as symbols."""
+    """Return the result of `backstepping.undamped` for the gains `UNDAMPED_GAINS` as symbols."""
     named = dict(zip(UNDAMPED_GAINS, gains, strict=True))
     return cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))
 
@@ -109,23 +109,23 @@ def _law_forces(
     lead: Number,
     ns: Namespace,
 ) -> tuple[PlannedReference, tuple[Number, Number]]:
-    """Return what the planner remembers, and F_u [N], F_r [N m].
+    """Return the memory of the planner, and F_u [N], F_r [N m].
 
     Args:
         o: the observation in SI units.
-        state: what the filter believes with it, an `Estimate` and perhaps `Faults`.
-        plan: what the planner remembers.
-        coefficients: of the vehicle.
+        state: result of the filter for it, see `ExtendedKalmanFilter.update`.
+        plan: memory of the planner.
+        coefficients: of the nominal vehicle.
         gains: of the law.
         lead: [1/s], see `EKF_GAINS`.
         ns: the namespace of the numbers.
     """
     z, faults, actions = parts(state)
-    X, N, sea = foreseen_sea(z, o.dt, ns)
+    X, N, sea = predicted_disturbances(z, o.dt, ns)
     motion = reference_motion(o, coefficients, ns)
-    plan, R = planned(plan, motion, sea, o.dt, coefficients, ns)
+    plan, R = plan_in_water(plan, motion, sea, o.dt, coefficients, ns)
     if actions:
-        z = arrived(z, faults, actions, (o.F_u_max, o.F_r_max), o.dt, coefficients, ns)
+        z = after_delay(z, faults, actions, (o.F_u_max, o.F_r_max), o.dt, coefficients, ns)
     late = faults.delay * o.dt
     x_e, y_e = (
         z.x_e - late * (motion.v_x + 0.5 * late * motion.a_x),
@@ -134,20 +134,20 @@ def _law_forces(
     R = R._replace(psi=R.psi + late * R.r_R)
     e_x, e_y = to_body(x_e, y_e, ns.cos(z.psi), ns.sin(z.psi))
     errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R, ns)
-    F_u, F_r = _from_near_and_far(errors, coefficients, gains, ns)
+    F_u, F_r = _blended_forces(errors, coefficients, gains, ns)
     F_u, F_r = F_u - X, F_r - N
     ahead = lead * z.lag
     F_u, F_r = F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r)
     return plan, (F_u / faults.surge_share, F_r / faults.yaw_share)
 
 
-def _from_near_and_far(
+def _blended_forces(
     errors: Sequence[Number], coefficients: Coefficients, gains: Gains, ns: Namespace
 ) -> tuple[Number, Number]:
-    """Return F_u [N], F_r [N m] of the law on errors in the water frame.
+    """Return F_u [N], F_r [N m] of the law for errors in the water frame.
 
-    With gains that suit small errors it spins or goes astern where errors are large. There the expert's gains take
-    over, and near by they have no share in it.
+    With gains for small errors, large errors would make the vehicle spin or move astern. So the forces are a weighted
+    mean of those with the tuned gains and those with the expert's gains, whose weight increases with the errors.
     """
     e_x, e_y, psi_e, _, _, _, u_R, v_R, *_ = errors
     vehicle = cast(Vehicle, coefficients)
@@ -159,8 +159,8 @@ def _from_near_and_far(
     return u + share * (safe_u - u), r + share * (safe_r - r)
 
 
-def foreseen_sea(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number, Sea]:
-    """Return surge load X [N] and yaw load N [N m] in the middle of the coming period, and what to plan for."""
+def predicted_disturbances(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number, Sea]:
+    """Return the loads X [N], N [N m] in the middle of the next period, and the disturbances for the planner."""
     X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt, ns))
     Y_rate = WAVE_FREQUENCY * Y_swing
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)

@@ -1,4 +1,4 @@
-"""Error dynamics linearised about steady motion: the one copy, for regulators and local stability."""
+"""Error dynamics linearised about steady motion, for regulators and local stability."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from auv_gym.planning.paths import Circle, Line
 from auv_gym.planning.planner import plan
 
 Feedback = Callable[[Sequence[Array]], Force]
-"""F_u [N], F_r [N m] of the first eleven terms of an observation, rows of shape (N,)."""
+"""Returns F_u [N], F_r [N m] for the first eleven terms of an observation, rows of shape (N,)."""
 
-FINE_STEP = 1e-6
-"""Half width of the central differences of a feedback, in SI units: their error is about 1e-10."""
+_STEP = 1e-6
+"""Half width of the central differences of a feedback, in SI units; their error is about 1e-10."""
 
 
 def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tuple[Array, Array]:
     """Return A (6, 6), B (6, 2) of the errors e_x, e_y, psi_e, u_e, v_e, r_e about a motion, from (17)-(20).
 
-    Errors are in the body frame, in SI units; the forces that B multiplies are deviations from F_uR [N], F_rR [N m].
+    Errors are in the body frame, in SI units. The inputs are deviations from F_uR [N], F_rR [N m].
 
     Args:
-        vehicle: the vehicle; with quadratic drag or lift their slopes count.
+        vehicle: the vehicle; quadratic drag and lift are linearised.
         u_R: surge velocity [m/s].
         v_R: sway velocity [m/s].
         r_R: yaw rate [rad/s].
@@ -55,7 +55,7 @@ def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tupl
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The loop about steady motion: e' = A e + B f with errors e in the body frame, and the feedback f = K e."""
+    """Closed loop about steady motion: e' = A e + B f with errors e in the body frame, and the feedback f = K e."""
 
     A: Array  # shape (6, 6)
     B: Array  # shape (6, 2)
@@ -63,42 +63,24 @@ class Linearisation:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """The six eigenvalues [1/s] of the continuous loop, the least stable first."""
+        """The six eigenvalues [1/s] of the closed loop in continuous time, the least stable first."""
         values = np.linalg.eigvals(self.A + self.B @ self.K).astype(np.complex128)
         return values[np.lexsort((values.imag, -values.real))]
 
 
-def linearise(
-    vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float, step: float = FINE_STEP
-) -> Linearisation:
-    """Return the loop linearised about steady motion.
+def linearise(vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float) -> Linearisation:
+    """Return the closed loop linearised about steady motion.
 
     Args:
-        vehicle: the vehicle, known exactly.
+        vehicle: the vehicle, for which the motion is planned as well.
         feedback: the forces.
         speed: path speed v_p [m/s], positive.
         turn_rate: omega [rad/s], counter-clockwise; 0 for a straight line.
-        step: half width of the differences, in SI units.
     """
     path = Circle(speed, turn_rate) if turn_rate else Line(speed)
-    return linearise_about(vehicle, feedback, plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist(), step)
-
-
-def linearise_about(
-    vehicle: Vehicle, feedback: Feedback, reference: Sequence[float], step: float = FINE_STEP
-) -> Linearisation:
-    """Return the loop linearised about an instant of any reference, steady or not: what the reference does cancels.
-
-    Args:
-        vehicle: the vehicle, known exactly.
-        feedback: the forces.
-        reference: u_R, v_R [m/s], r_R [rad/s], F_uR [N], F_rR [N m].
-        step: half width of the differences, in SI units.
-    """
-    u_R, v_R, r_R, *_ = reference
-
+    u_R, v_R, r_R, F_uR, F_rR = plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist()
     A, B = error_dynamics(vehicle, u_R, v_R, r_R)
-    steady = [np.full(len(A), value) for value in reference]
-    e = step * np.eye(len(A))
-    ahead, behind = (np.stack(feedback((*shifted, *steady))) for shifted in (e, -e))
-    return Linearisation(A, B, K=(ahead - behind) / (2 * step))
+    reference = [np.full(len(A), value) for value in (u_R, v_R, r_R, F_uR, F_rR)]
+    e = _STEP * np.eye(len(A))
+    above, below = (np.stack(feedback((*errors, *reference))) for errors in (e, -e))
+    return Linearisation(A, B, K=(above - below) / (2 * _STEP))

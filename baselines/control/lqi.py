@@ -1,10 +1,10 @@
 """Gain-scheduled linear-quadratic control with integral action and an assumed actuator lag (LQI).
 
-The body-frame errors are linearised about steady motion at (u_R, r_R), and the integral of the position error, kept in
-the world frame, is seen from the body: both are time-invariant there, so one Riccati equation gives the gain of a
-steady motion. Gains are computed once on a grid of speeds and turn rates and interpolated. H. Kwakernaak and R. Sivan,
-Linear Optimal Control Systems, 1972, sections 3.7 and 6.4; T. I. Fossen, Handbook of Marine Craft Hydrodynamics and
-Motion Control, 2nd ed., 2021, section 16.1.
+The error dynamics in the body frame are linearised about steady motion at (u_R, r_R). The position error is integrated
+in the world frame, and the integral is rotated into the body frame. In this form the model is time-invariant, and one
+Riccati equation gives the gain of a steady motion. Gains are computed once on a grid of speeds and turn rates and then
+interpolated. H. Kwakernaak and R. Sivan, Linear Optimal Control Systems, 1972, sections 3.7 and 6.4; T. I. Fossen,
+Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, section 16.1.
 """
 
 from __future__ import annotations
@@ -19,31 +19,32 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.control.integral import integrated, seen_from_body
+from baselines.control.integral import in_body_frame, next_integral
 from baselines.control.linearisation import error_dynamics
 from baselines.policy import Memory, first_order
 
-if TYPE_CHECKING:  # SciPy is imported where it is used: most policies need none of it
+if TYPE_CHECKING:  # SciPy is imported in the functions that use it, so that other policies load quickly
     from scipy.interpolate import RegularGridInterpolator
 
-_SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
+_SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; outside of it the gain at its edge is used
 _TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
 
 PREFERRED = np.array([float(f"{m}e{e}") for e in range(-4, 10) for m in (1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8)])
-"""Limits of actuators [N], [N m] that gains are designed for, the series R10 of ISO 3: those of fins never stay."""
+"""Limits of actuators [N], [N m] for which gains are designed, the series R10 of ISO 3. The torque limit of fins varies
+with the speed; rounding keeps the number of designs small."""
 
-_STATES, _FORCES = 8, 2  # how many errors with their integrals there are, and how many forces
-_ERRORS, _INTEGRALS = slice(0, 6), slice(6, 8)
+_STATES, _FORCES = 8, 2  # number of errors and integrals, number of forces
+_ERRORS, _INTEGRALS = slice(0, 6), slice(6, 8)  # e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals
 _POSITION, _VELOCITY, _HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
-_HEADING, _TURN = 2, 5  # where they stand in a state: e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals
+_HEADING, _TURN = 2, 5
 
 
 class LqiWeights(NamedTuple):
-    """The cost of a second, and what is assumed of the actuators.
+    """Weights of the cost rate, and assumptions about the actuators.
 
-    It is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus for surge and for yaw
-    (effort a)^2 + (rate a')^2 of the command a as a fraction of the actuator's limit, after Bryson's rule; e [m] is the
-    position error, e' its rate in the world, xi [m] its integral, and U the speed.
+    The cost rate is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus
+    (effort a)^2 + (rate a')^2 for surge and for yaw. Here e [m] is the position error, e' its rate in the world, xi [m]
+    its integral, U the speed, and a the command as a fraction of the actuator's limit (Bryson's rule).
     """
 
     velocity: float  # [s]
@@ -53,8 +54,8 @@ class LqiWeights(NamedTuple):
     surge_rate: float  # [m s]
     yaw_effort: float  # [m]
     yaw_rate: float  # [m s]
-    lag: float  # [s] time constant that the actuators are believed to have
-    rate: float  # [1/s] of the integral, see `integral.integrated`
+    lag: float  # [s] assumed time constant of the actuators
+    rate: float  # [1/s] of the integral, see `integral.next_integral`
     horizon: float  # [s] bound of error and integral as a travel time of the reference
 
 
@@ -64,7 +65,7 @@ def steady_sway(u_R: float, r_R: float, vehicle: Vehicle) -> float:
 
 
 def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: float) -> tuple[Array, Array]:
-    """Return Phi (12, 12), Gamma (12, 2) of one control period with the command held.
+    """Return Phi (12, 12), Gamma (12, 2) of one control period with a constant command.
 
     The states are the six errors, xi in the body frame (2), the lagged forces (2) and the previous command (2).
     """
@@ -73,7 +74,7 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
     A6, B6 = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
     n = _STATES + _FORCES
-    M = np.zeros((n + _FORCES, n + _FORCES))  # of the states but the last two, and the command
+    M = np.zeros((n + _FORCES, n + _FORCES))  # continuous-time model of the first ten states and the command
     M[_ERRORS, _ERRORS], M[_ERRORS, _STATES:n] = A6, B6
     M[_INTEGRALS, _INTEGRALS] = turning
     M[_INTEGRALS, _POSITION] = w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
@@ -117,7 +118,7 @@ def optimal_gain(
 
 
 def preferred(limits: Array) -> Array:
-    """Return the numbers of `PREFERRED` that limits are nearest to, by ratio; at most 13 % off."""
+    """Return for each limit the number of `PREFERRED` with the nearest ratio; they differ by at most 13 %."""
     return PREFERRED[np.searchsorted(np.sqrt(PREFERRED[1:] * PREFERRED[:-1]), limits)]
 
 
@@ -131,7 +132,7 @@ def gain_schedule(vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[floa
 
 
 class LQI:
-    """The controller, a `Controller`; its memory is xi (N, 2) [m] and the modelled forces (N, 2) [N], [N m]."""
+    """Linear-quadratic control, a `Controller`; its memory is xi (N, 2) [m] and the lagged forces (N, 2) [N], [N m]."""
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
         """Make the controller; its gains are the fields of `LqiWeights`."""
@@ -143,15 +144,15 @@ class LQI:
         return np.zeros((n, 2)), np.zeros((n, 2))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
         w = self.weights
         past_xi, past_lagged = memory
-        xi = integrated(past_xi.T, o, w.rate, w.horizon)
+        xi = next_integral(past_xi.T, o, w.rate, w.horizon)
         plan = np.array((o.F_uR, o.F_rR))
         previous = np.array((o.a_u * o.F_u_max, o.a_r * o.F_r_max))
         lagged = past_lagged.T + first_order(o.dt, w.lag) * (previous - past_lagged.T)
         e_x, e_y, psi_e, u_e, v_e, r_e, *_ = bounded_error(o, w.horizon, ARRAYS)
-        z = np.array((e_x, e_y, psi_e, u_e, v_e, r_e, *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
+        z = np.array((e_x, e_y, psi_e, u_e, v_e, r_e, *in_body_frame(xi, o), *(lagged - plan), *(previous - plan)))
         F_u, F_r = plan - np.einsum("nij,jn->in", self._gain(o), z)
         return F_u, F_r, (xi.T, lagged.T)
 

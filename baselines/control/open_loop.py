@@ -1,4 +1,4 @@
-"""Without feedback: the planner's forces, or none at all, for learning from scratch."""
+"""Policies without feedback: the planner's forces, or zero, for learning from scratch."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from auv_gym.task.observation import Observation
 from auv_gym.task.policy import Law
 
 NO_EXPERT = "none"
-"""Name of `Zero` where an expert is named."""
-F_UR = Observation._fields.index("F_uR")  # where the reference's surge force stands among the terms
-F_RR = Observation._fields.index("F_rR")  # where its yaw torque stands
+"""Name of `Zero` as an expert."""
+F_UR = Observation._fields.index("F_uR")  # index of the reference's surge force among the terms
+F_RR = Observation._fields.index("F_rR")  # index of the reference's yaw torque
 
 
 class OpenLoop(Law):
-    """Applies F_uR and F_rR (16), whatever the errors are."""
+    """The forces of the reference, F_uR and F_rR (16), without feedback."""
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
         """Return F_uR [N], F_rR [N m]."""
@@ -23,8 +23,8 @@ class OpenLoop(Law):
 
 
 class Zero(Law):
-    """Commands nothing."""
+    """Zero forces."""
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
-        """Return zeros [N], [N m], of the shape that the terms have."""
+        """Return zeros [N], [N m], of the shape of the terms."""
         return 0.0 * o[F_UR], 0.0 * o[F_RR]

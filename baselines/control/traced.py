@@ -1,4 +1,4 @@
-"""How a law with memory that is written on components becomes a controller that runs as a compiled kernel."""
+"""Controllers that run as compiled kernels, from control laws with memory that are written on components."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.policy import Memory
 
 LawEquation: TypeAlias = Callable[[Observation, Any, Any, Coefficients, Namespace], tuple[Any, tuple[Number, Number]]]
-"""Takes the observation in SI units, what is remembered, the gains, the vehicle as it is known and the namespace of the
-numbers; returns what is to be remembered, and F_u [N], F_r [N m]."""
+"""Function of the observation in SI units, the memory, the gains, the nominal vehicle and the namespace of the numbers;
+returns the memory for the next call, and F_u [N], F_r [N m]."""
 
 
 @dataclass(frozen=True)
 class TracedLaw:
-    """A law: its equation, and the `NamedTuple` of its gains and of what it remembers, which is zeros at first."""
+    """A law: its equation, and the types of its gains and its memory."""
 
     equation: LawEquation
-    gains: Any
-    memory: Any
+    gains: Any  # a subclass of `NamedTuple`
+    memory: Any  # a subclass of `NamedTuple`; all entries are zero at the start of an episode
 
 
 class TracedController:
-    """A traced law with gains for a vehicle, a `Controller`; its memory has shape (N, entries).
+    """A traced law with its gains and a nominal vehicle, a `Controller`; its memory has shape (N, entries).
 
-    A class for each law names it as `law`.
+    Each law has a subclass with the attribute `law`.
     """
 
     law: ClassVar[TracedLaw]
@@ -49,17 +49,17 @@ class TracedController:
         return (np.zeros((len(self.law.memory._fields), n)).T,)
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
         terms = np.array(o)
         known = repeated(self._known, terms.shape[1])
-        found = _law_kernel(self.law)(o=terms, known=known, memory=memory[0].T)
-        F_u, F_r = found["force"]
-        return F_u, F_r, (found["after"].T,)
+        result = _law_kernel(self.law)(o=terms, known=known, memory=memory[0].T)
+        F_u, F_r = result["force"]
+        return F_u, F_r, (result["after"].T,)
 
 
 @cache
 def _law_kernel(law: TracedLaw) -> Kernel:
-    """Return the kernel of a law, which takes observation, vehicle and gains, and what is remembered."""
+    """Return the kernel of a law; its inputs are observation, vehicle and gains, and memory."""
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
         vehicle, gains = Coefficients(*known[:VEHICLE_ROWS]), law.gains(*known[VEHICLE_ROWS:])
@@ -70,20 +70,20 @@ def _law_kernel(law: TracedLaw) -> Kernel:
     return Kernel.traced(equation, {**rows, "memory": len(law.memory._fields)}, structural=True, blocked=True)
 
 
-def foreseen_velocities(
+def predicted_velocities(
     o: Observation,
     last: Sequence[Number],
     accelerations: Sequence[Number],
     vehicle: Coefficients,
     ns: Namespace,
 ) -> tuple[Number, ...]:
-    """Return u, v [m/s], r [rad/s] that the model in still water has made of the last ones under the last command.
+    """Return u, v [m/s], r [rad/s] now, predicted from the last observation by the nominal model in still water.
 
     Args:
-        o: the observation in SI units.
+        o: the observation in SI units; it contains the last command.
         last: u, v, r at the last observation.
-        accelerations: of surge, sway and yaw by loads beyond the model [m/s^2], [rad/s^2].
-        vehicle: as it is known.
+        accelerations: in surge, sway and yaw due to unmodelled loads [m/s^2], [rad/s^2].
+        vehicle: the nominal one.
         ns: the namespace of the numbers.
     """
     c, (X, Y, N) = vehicle, accelerations
@@ -92,13 +92,13 @@ def foreseen_velocities(
 
 
 def effective_periods(dt: Number, vehicle: Coefficients, ns: Namespace) -> tuple[Number, Number, Number]:
-    """Return for surge, sway and yaw what a constant acceleration changes the velocity by in a period, over it [s].
+    """Return the velocity change in a period per unit of constant acceleration, in surge, sway and yaw [s].
 
-    It is less than dt, as the drag takes some of the change back meanwhile.
+    It is less than dt because of the drag.
 
     Args:
         dt: control period [s].
-        vehicle: as it is known; its linear drag counts.
+        vehicle: the nominal one; only its linear drag is used.
         ns: the namespace of the numbers.
     """
     c = vehicle

@@ -1,1 +1,1 @@
-"""Estimators: the sea and the vehicle behind noisy measurements."""
+"""Estimators of the vehicle's state and of the disturbances from noisy measurements."""

@@ -1,9 +1,9 @@
-"""The equations of the extended Kalman filter, on symbols: foreseen by the model, corrected by the measurements.
+"""Equations of the extended Kalman filter on symbols: prediction by the model, correction by the measurements.
 
-The derivatives are those that the graph has of the model itself. The state is an `Estimate`; where sensors and
-actuators may be wrong, `Faults` follow it. The measurements are taken up one after the other, as their errors are
-independent: the same as all at once, without a system of equations to solve. Of the covariance the lower triangle is
-computed and nothing else, so that it is always symmetric.
+The Jacobians are derived symbolically from the model. The state is an `Estimate`, followed by `Faults` in a filter that
+estimates faults. The measurement errors are independent, so the measurements are processed one after the other. The
+result is the same as that of one joint update, and no system of equations must be solved. Only the lower triangle of
+the covariance is computed, so it is always symmetric.
 """
 
 from __future__ import annotations
@@ -54,71 +54,74 @@ from baselines.estimation.water_frame import ReferenceMotion, reference_motion
 from baselines.policy import SPEED_FLOOR
 
 FIRST_NOISE = (0.05, 0.05, 0.015, 0.02, 0.02, 0.005)
-"""Standard deviations of x_e, y_e [m], psi [rad], u, v [m/s], r [rad/s] that the measurements are believed to have
-until there are enough of them to tell."""
+"""Initial standard deviations of the measurements x_e, y_e [m], psi [rad], u, v [m/s], r [rad/s]. They are used until
+there are enough measurements to estimate them."""
 LEAST_NOISE = (1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5)
-"""Lower bounds of the standard deviations that are found, in the same order and units."""
+"""Lower bounds of the estimated standard deviations, in the same order and units."""
 FINE_NOISE = tuple(0.4 * deviation for deviation in FIRST_NOISE)
-"""Standard deviations, in the same order and units, below which noise tells seas apart less and less: with fine sensors
-it costs nothing to believe in a rough one."""
-NOISE_MEMORY = 5.0  # [s] over which the noise is averaged
-HULL_DRIFT = 1e-5  # of position [m] and heading [rad] that no velocity explains, after one second
-FORCE_DRIFT = 1e-3  # of the actuators' forces, as a share of their limits, after one second
-LAG_DRIFT = 0.01  # [s] of the actuators' lag after one second
-FIRST_POSE = 0.1  # deviation of position [m] and heading [rad] before the first measurement
-FIRST_TURN = 0.05  # [rad/s] deviation of the yaw rate before the first measurement
-FIRST_LAG = 0.2  # [s] lag that is expected before the first measurement, and the deviation from that
-FIRST_SURGE = 1.0  # deviation of the surge velocity before the first measurement over the reference's speed
-FIRST_SWAY = 0.3  # deviation of the sway velocity before the first measurement over the reference's speed
-FIRST_CURRENT = 0.3  # deviation of the current on each axis before the first measurement over the reference's speed
-_HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
-FIT_MEMORY = 20.0  # [s] over which the fit of a filter's measurements is added up
-FIRST_BIAS = 0.2  # deviation of the slowly varying load before the first measurement, in the units of `Tuning`
+"""Standard deviations, in the same order and units, below which a measurement has less weight in the choice between the
+filters for rough and for calm water. With precise sensors the filter for rough water is accurate in calm water too."""
+NOISE_MEMORY = 5.0  # [s] averaging time of the noise variances
+POSE_DRIFT = 1e-5  # process noise of position [m] and heading [rad] after one second
+FORCE_DRIFT = 1e-3  # process noise of the actuators' forces after one second, as a share of their limits
+LAG_DRIFT = 0.01  # [s] process noise of the actuators' time constant after one second
+
+# Standard deviations of the state before the first measurement:
+FIRST_POSE = 0.1  # position [m] and heading [rad]
+FIRST_TURN = 0.05  # [rad/s] yaw rate
+FIRST_LAG = 0.2  # [s] time constant of the actuators; its first estimate as well
+FIRST_SURGE = 1.0  # surge velocity over the reference's speed
+FIRST_SWAY = 0.3  # sway velocity over the reference's speed
+FIRST_CURRENT = 0.3  # current on each axis over the reference's speed
+FIRST_BIAS = 0.2  # slowly varying load, in the units of `Tuning`
+
+_LEAST_MOTION = 1e-4  # [m] smaller changes of a measured position in a period mean that there was no new fix
+FIT_MEMORY = 20.0  # [s] averaging time of the log-likelihood
 
 _Matrix = Sequence[Sequence[Any]]
 
 
 class Belief(NamedTuple):
-    """What the filter remembers, as rows."""
+    """Memory of a filter, as rows."""
 
-    count: Any  # of the updates so far, 1 row
-    state: Any  # an `Estimate`, and `Faults` behind it
-    covariance: Any  # of the state, the lower triangle row by row
+    count: Any  # number of updates so far, 1 row
+    state: Any  # an `Estimate`, then `Faults` if the filter estimates them
+    covariance: Any  # lower triangle of the state's covariance, row by row
     motion: Any  # velocity [m/s] and acceleration [m/s^2] of the reference in the world, 4 rows
-    fix: Any  # x_e, y_e [m] as measured last
-    past: Any  # the last three measurements, carried along with the motion foreseen since
+    fix: Any  # last measured x_e, y_e [m]
+    past: Any  # last three measurements, each plus the motion that the model has predicted since then
     noise: Any  # variances of the measurements
-    fit: Any  # logarithm of the likelihood of the measurements so far, the last ones above all, 1 row
-    actions: Any  # the last but one and those before, surge and yaw of each
+    fit: Any  # log-likelihood of the measurements, with exponential forgetting, 1 row
+    actions: Any  # actions before the last one, surge and yaw of each, the latest first
 
     @classmethod
     def of(cls, rows: Any, faults: bool = False) -> Belief:
         """Return the parts of a filter's memory.
 
         Args:
-            rows: a sequence, or an array whose first axis counts them.
-            faults: whether faults are believed in.
+            rows: a sequence, or an array whose first axis is that of the rows.
+            faults: whether the filter estimates faults.
         """
         sizes = cls.sizes(faults)
         return cls(*(rows[sum(sizes[:i]) : sum(sizes[: i + 1])] for i in range(len(sizes))))
 
     @staticmethod
     def sizes(faults: bool = False) -> Belief:
-        """Return how many rows each part has."""
+        """Return the number of rows of each part."""
         size = STATE_SIZE + FAULTS * faults
         return Belief(1, size, size * (size + 1) // 2, 4, 2, 3 * SENSORS, SENSORS, 1, 2 * LATE * faults)
 
 
 class FilterUnits(NamedTuple):
-    """What deviations are measured in."""
+    """Units of the tuning's standard deviations."""
 
     speed: Number  # [m/s]
-    drag: Sequence[Number]  # of loads [N], [N], [N m]
-    limits: Sequence[Number]  # of the actuators [N], [N m]
+    drag: Sequence[Number]  # [N], [N], [N m] for loads in surge, sway and yaw
+    limits: Sequence[Number]  # [N], [N m] limits of the actuators
 
     @classmethod
     def of(cls, o: Observation, coefficients: Coefficients) -> FilterUnits:
-        """Return the units at a reference's speed."""
+        """Return the units at the speed of the reference."""
         speed = SYMBOLS.clip(SYMBOLS.hypot(o.u_R, o.v_R), SPEED_FLOOR, math.inf)
         drag = [d * speed for d in (coefficients.d11, coefficients.d22, coefficients.d33)]
         return cls(speed, drag, (o.F_u_max, o.F_r_max))
@@ -129,61 +132,60 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
 
     Args:
         o: the observation in SI units.
-        coefficients: of the vehicle as it is known.
-        tuning: the fields of a `kalman.Tuning`, and those of a `kalman.FaultTuning` if faults are believed in, as
-            symbols.
-        memory: zeros at the start of an episode but for the noise, or as the last call returned it.
+        coefficients: of the nominal vehicle.
+        tuning: has the fields of a `kalman.Tuning`, or of a `kalman.FaultTuning` if faults are estimated, as symbols.
+        memory: as the last call returned it. At the start of an episode all rows are zero, except for the noise.
     """
-    motion, units, held_out = (
+    motion, units, first = (
         reference_motion(o, coefficients, SYMBOLS),
         FilterUnits.of(o, coefficients),
         memory.count[0] <= 0.0,
     )
-    measured, step = _measured(o, motion), _step(memory.motion, motion, o.dt)
+    measured, step = _measurements(o, motion), _reference_step(memory.motion, motion, o.dt)
     moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
-    held = ~held_out & (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD)
+    no_fix = ~first & (moved[0] * moved[0] + moved[1] * moved[1] < _LEAST_MOTION * _LEAST_MOTION)
     actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
-    first, deviation = prior(measured, units, tuning, len(memory.state) > STATE_SIZE)
-    z, P = foreseen(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
+    initial, deviation = prior(measured, units, tuning, len(memory.state) > STATE_SIZE)
+    z, P = predicted(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
     P = _sum(P, excitation(o.dt, units, tuning, len(z)))
-    shown = [a - b for a, b in zip(shows(z), shows(memory.state), strict=True)]
-    past = [x + shown[i % SENSORS] for i, x in enumerate(memory.past)]
-    z = [SYMBOLS.where(held_out, a, b) for a, b in zip(first, z, strict=True)]
-    prior_P = diagonal([d * d for d in deviation])
-    P = symmetric([SYMBOLS.where(held_out, a, b) for a, b in zip(triangle(prior_P), triangle(P), strict=True)])
-    expected = shows(z)
+    change = [a - b for a, b in zip(expected_measurements(z), expected_measurements(memory.state), strict=True)]
+    past = [x + change[i % SENSORS] for i, x in enumerate(memory.past)]
+    z = [SYMBOLS.where(first, a, b) for a, b in zip(initial, z, strict=True)]
+    initial_P = diagonal([d * d for d in deviation])
+    P = symmetric([SYMBOLS.where(first, a, b) for a, b in zip(triangle(initial_P), triangle(P), strict=True)])
+    expected = expected_measurements(z)
     fix = measured[:2]
-    measured = [*(SYMBOLS.where(held, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
+    measured = [*(SYMBOLS.where(no_fix, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
     innovation = [a - b for a, b in zip(measured, expected, strict=True)]
     innovation[PLACE.psi] = wrap_angle(innovation[PLACE.psi], SYMBOLS)
     measured[PLACE.psi] = expected[PLACE.psi] + innovation[PLACE.psi]  # continuous, for the differences
-    noise = _found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
-    z, P, fits = measured_update(z, P, innovation, noise, held)
-    fit = SYMBOLS.where(held_out, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
+    noise = _noise_variances(measured, past, memory.noise, memory.count[0], o.dt, no_fix)
+    z, P, fits = measured_update(z, P, innovation, noise, no_fix)
+    fit = SYMBOLS.where(first, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
     kept = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
     return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], kept)
 
 
 def split(z: Sequence[Any]) -> tuple[Estimate, Faults]:
-    """Return the parts of a filter's state; without faults those of sound sensors and actuators."""
+    """Return the two parts of a filter's state; `NO_FAULTS` if the filter does not estimate faults."""
     return Estimate(*z[:STATE_SIZE]), Faults(*z[STATE_SIZE:]) if len(z) > STATE_SIZE else NO_FAULTS
 
 
-def shows(z: Sequence[Any]) -> list[Any]:
-    """Return what the sensors should show, their biases included."""
+def expected_measurements(z: Sequence[Any]) -> list[Any]:
+    """Return the measurements that a filter's state predicts, including the sensor biases."""
     estimate, faults = split(z)
     return [a + b for a, b in zip(measurement(estimate, SYMBOLS), biases(faults), strict=True)]
 
 
-def _measured(o: Observation, motion: ReferenceMotion) -> list[Number]:
+def _measurements(o: Observation, motion: ReferenceMotion) -> list[Number]:
     """Return the measurements x_e, y_e in the world, psi, u and v over ground, r."""
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     return [x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e]
 
 
-def _step(before: Sequence[Number], motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
-    """Return how far the reference has moved since the last update, by Hermite's formula, of fourth order."""
+def _reference_step(before: Sequence[Number], motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
+    """Return the displacement of the reference since the last update, by Hermite's quadrature of fourth order."""
     v_x, v_y, a_x, a_y = before
     half, twelfth = 0.5 * dt, dt * dt / 12
     return (
@@ -192,7 +194,7 @@ def _step(before: Sequence[Number], motion: ReferenceMotion, dt: Number) -> tupl
     )
 
 
-def foreseen(
+def predicted(
     z: Sequence[Any],
     P: _Matrix,
     actions: Sequence[Sequence[Number]],
@@ -202,35 +204,36 @@ def foreseen(
 ) -> tuple[Sequence[Any], _Matrix]:
     """Return state and covariance one control period later, without excitation.
 
-    The vehicle's motion depends on eleven things alone: its covariance goes by way of theirs.
+    The motion states depend on eleven variables only. The covariance is first propagated to these variables and then
+    to the motion states, which needs fewer operations.
 
     Args:
         z: the state.
         P: its covariance.
-        actions: the last one, which has acted since; and if faults are believed in, those before it.
-        reference_step: how far the reference has moved meanwhile in the world [m].
-        o: the observation with which the period ends.
-        coefficients: of the vehicle as it is known.
+        actions: the last actions, the latest first; used only if the filter estimates faults.
+        reference_step: displacement of the reference in the world during the period [m].
+        o: the observation at the end of the period.
+        coefficients: of the nominal vehicle.
     """
     estimate, faults = split(z)
-    estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, math.inf))  # not zero in the beginning
-    wrong = [*z[STATE_SIZE:]]
+    estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, math.inf))  # it is zero at the start
+    fault_rows = [*z[STATE_SIZE:]]
     command = (o.a_u * o.F_u_max, o.a_r * o.F_r_max)
-    if wrong:
+    if fault_rows:
         command = acting_forces(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
     after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS)
     load, _ = mean_load(estimate, command, o.dt, SYMBOLS)
-    others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *wrong]
-    moving = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]
-    P = congruence(jacobian([*moving, *others], [*estimate, *wrong]), P)
-    motion = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], moving)]
-    return [*after, *wrong], congruence([*motion, *diagonal([1.0] * len(P))[len(moving) :]], P)
+    others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *fault_rows]
+    inputs = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]  # of the equations of motion
+    P = congruence(jacobian([*inputs, *others], [*estimate, *fault_rows]), P)
+    motion = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], inputs)]
+    return [*after, *fault_rows], congruence([*motion, *diagonal([1.0] * len(P))[len(inputs) :]], P)
 
 
 def excitation(dt: Number, units: FilterUnits, tuning: Any, size: int = STATE_SIZE) -> _Matrix:
-    """Return the covariance that one control period adds, for a state of so many rows."""
+    """Return the covariance of the process noise in one control period, shape (size, size)."""
     speed, drag, limits = units
-    drift: list[Any] = [HULL_DRIFT] * STATE_SIZE
+    drift: list[Any] = [POSE_DRIFT] * STATE_SIZE
     drift[PLACE.u] = drift[PLACE.v] = tuning.acceleration * speed
     drift[PLACE.r] = tuning.acceleration
     drift[FORCE] = [FORCE_DRIFT * limit for limit in limits]
@@ -258,7 +261,7 @@ def _waves(units: FilterUnits, tuning: Any) -> list[Number]:
 def prior(
     measured: Sequence[Number], units: FilterUnits, tuning: Any, faults: bool
 ) -> tuple[Sequence[Any], Sequence[Number]]:
-    """Return the state before the first measurement, centred on it, and its standard deviations, which are wide."""
+    """Return the initial state, whose motion states are the first measurements, and its standard deviations."""
     speed, drag, limits = units
     z: list[Any] = [0.0] * STATE_SIZE
     z[MOTION_STATES], z[PLACE.lag] = measured, FIRST_LAG
@@ -270,32 +273,32 @@ def prior(
     deviation[WAVES] = [x for wave in _waves(units, tuning) for x in (wave, wave)]
     if not faults:
         return z, deviation
-    expected, unsure = prior_faults(tuning)
-    return [*z, *expected], [*deviation, *unsure]
+    fault_mean, fault_deviation = prior_faults(tuning)
+    return [*z, *fault_mean], [*deviation, *fault_deviation]
 
 
-def _found_noise(
+def _noise_variances(
     measured: Sequence[Number],
     past: Sequence[Number],
     noise: Sequence[Number],
     count: Number,
     dt: Number,
-    held: Any = False,
+    no_fix: Any,
 ) -> list[Number]:
-    """Return the variances of the measurements with one more of them.
+    """Return the variances of the measurement noise, updated with one more measurement.
 
-    The third difference of white noise has 20 times its variance, and hardly any motion is left in it: `past` holds the
-    last three measurements plus what the model foresaw of the motion since. Where the position is `held`, nothing is
-    learned of its noise.
+    The third difference of white noise has 20 times its variance. The motion hardly contributes to it, as the
+    measurements in `past` include the motion that the model has predicted since then. Without a new fix (`no_fix`) the
+    variance of the position stays unchanged.
     """
     last, second, third = (past[i * SENSORS : (i + 1) * SENSORS] for i in range(3))
     difference = [a - 3 * b + 3 * c - d for a, b, c, d in zip(measured, last, second, third, strict=True)]
     square = [d * d / 20 for d in difference]
-    for i, j in ((PLACE.x_e, PLACE.y_e), (PLACE.u, PLACE.v)):  # alike on both axes
+    for i, j in ((PLACE.x_e, PLACE.y_e), (PLACE.u, PLACE.v)):  # the same variance on both axes
         square[i] = square[j] = 0.5 * (square[i] + square[j])
     weight = SYMBOLS.clip(1.0 / SYMBOLS.clip(count, 1.0, math.inf), dt / NOISE_MEMORY, math.inf)
     weight = SYMBOLS.where(count < 3.0, 0.0, SYMBOLS.clip(weight, 0.0, 1.0))
-    weights = [SYMBOLS.where(held, 0.0, weight)] * 2 + [weight] * (SENSORS - 2)
+    weights = [SYMBOLS.where(no_fix, 0.0, weight)] * 2 + [weight] * (SENSORS - 2)
     return [
         SYMBOLS.clip(variance + w * (new - variance), least * least, math.inf)
         for variance, new, least, w in zip(noise, square, LEAST_NOISE, weights, strict=True)
@@ -303,31 +306,31 @@ def _found_noise(
 
 
 def measured_update(
-    z: Sequence[Any], P: _Matrix, innovation: Sequence[Number], noise: Sequence[Number], held: Any
+    z: Sequence[Any], P: _Matrix, innovation: Sequence[Number], noise: Sequence[Number], no_fix: Any
 ) -> tuple[Sequence[Any], _Matrix, Any]:
-    """Return state and covariance after measurements with independent errors, and the logarithm of their likelihood.
+    """Return state and covariance after measurements with independent errors, and their weighted log-likelihood.
 
     Args:
         z: the state.
         P: its covariance.
-        innovation: measurements less what the state makes expect.
-        noise: variances of their errors.
-        held: whether there is no new position.
+        innovation: measurements minus expected measurements.
+        noise: variances of the measurement noise.
+        no_fix: whether there is no new measurement of the position.
     """
     size = len(z)
     change: list[Any] = [0.0] * size
     fit: Any = 0.0
-    for i, h in enumerate(jacobian(shows(z), z)):
+    for i, h in enumerate(jacobian(expected_measurements(z), z)):
         Ph = [dot(h, column) for column in P]
-        share = 1.0 / (dot(h, Ph) + noise[i])
-        left = innovation[i] - dot(h, change)
+        precision = 1.0 / (dot(h, Ph) + noise[i])  # of the innovation
+        residual = innovation[i] - dot(h, change)
         coarseness = (noise[i] / FINE_NOISE[i] ** 2) ** 2
-        telling = coarseness / (1.0 + coarseness)
-        fits = 0.5 * telling * (SYMBOLS.log(share) - left * left * share)
+        weight = coarseness / (1.0 + coarseness)
+        fits = 0.5 * weight * (SYMBOLS.log(precision) - residual * residual * precision)
         if i < PLACE.psi:
-            share, fits = SYMBOLS.where(held, 0.0, share), SYMBOLS.where(held, 0.0, fits)
-        gain, fit = [x * share for x in Ph], fit + fits
-        change = [x + k * left for x, k in zip(change, gain, strict=True)]
+            precision, fits = SYMBOLS.where(no_fix, 0.0, precision), SYMBOLS.where(no_fix, 0.0, fits)
+        gain, fit = [x * precision for x in Ph], fit + fits
+        change = [x + k * residual for x, k in zip(change, gain, strict=True)]
         P = symmetric([P[i][j] - gain[i] * Ph[j] for i in range(size) for j in range(i + 1)])
     estimate, faults = split([x + d for x, d in zip(z, change, strict=True)])
     estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, LONGEST_LAG))

@@ -1,8 +1,8 @@
-"""An extended Kalman filter for the vehicle, its actuators and the sea, fed with nothing but the observation.
+"""Extended Kalman filter for vehicle, actuators and disturbances; its only input is the observation.
 
-What it believes is in `sea_model`, how it goes about it in `filter_equations`. How noisy the sensors are it finds out
-as it runs. It knows no control law: `start` and then `update` with each observation give an `Estimate` for a law, an
-optimiser or a trained policy to act on.
+`sea_model` has its model, `filter_equations` its equations. It estimates the measurement noise online. It is
+independent of the control law: `start`, then `update` with each observation return an `Estimate` for a control law, an
+optimiser or a trained policy.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
-from baselines.estimation.faults import FAULTS, LATE, Faults, arrived
+from baselines.estimation.faults import FAULTS, LATE, Faults, after_delay
 from baselines.estimation.filter_equations import FIRST_NOISE, Belief, split, updated
 from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.policy import Memory
 
-VEHICLE_ROWS = len(Coefficients._fields)  # how many rows tell a kernel of the vehicle
+VEHICLE_ROWS = len(Coefficients._fields)  # number of rows of a kernel's input that describe the vehicle
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """How much is believed to change, as standard deviations.
+    """Standard deviations of the process noise.
 
     With the reference speed U, speeds are in units of U and loads in units of the drag d11 U, d22 U, d33 U / (1 m).
-    What drifts like a random walk has its deviation after one second.
+    A drift is the standard deviation of a random walk after one second.
     """
 
-    acceleration: float  # drift of u, v that nothing else explains; that of r is in [rad/s]
+    acceleration: float  # drift of u and v beyond the model; that of r is in [rad/s]
     current: float  # drift
     gust: float  # [1/s] of the current's rate
     surge_bias: float  # drift of the slowly varying load
@@ -47,7 +47,7 @@ class Tuning:
     surge_waves: float  # of the wave load
     sway_waves: float
     yaw_waves: float
-    calm: float  # all of this in a calm sea, as a share of what it is in a rough one
+    calm: float  # factor on all of these in the filter for calm water
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -56,12 +56,12 @@ class Tuning:
 
 @dataclass(frozen=True)
 class FaultTuning(Tuning):
-    """The same, and how wrong sensors and actuators may be: standard deviations before the first measurement."""
+    """Tuning of a filter that estimates faults, with the faults' standard deviations before the first measurement."""
 
     heading_bias: float  # [rad]
     velocity_bias: float  # [m/s]
     turn_bias: float  # [rad/s]
-    loss: float  # [1] of the share of a command that acts
+    loss: float  # [1] of the actuators' effectiveness
     delay: float  # control periods
 
 
@@ -69,27 +69,27 @@ FILTER_TUNING = tuple(field.name for field in fields(Tuning))
 """Names of the fields of `Tuning`."""
 FAULT_TUNING = tuple(field.name for field in fields(FaultTuning))
 """Names of the fields of `FaultTuning`."""
-_SCALED = slice(0, FILTER_TUNING.index("calm"))  # of the rows of a tuning, those that are less in a calm sea
-ODDS = 10.0  # logarithm of the odds of a rough sea before the first measurement, which do not fade
-BELIEVED = STATE_SIZE + FAULTS + 2 * LATE  # how many rows a filter returns that believes in faults
-HYPOTHESES = 2  # a rough sea, a calm one
+_SCALED = slice(0, FILTER_TUNING.index("calm"))  # entries of a tuning that `calm` multiplies
+ODDS = 10.0  # log-odds of rough water before the first measurement; they are not forgotten
+FAULT_FILTER_ROWS = STATE_SIZE + FAULTS + 2 * LATE  # rows that a filter with faults returns
+HYPOTHESES = 2  # rough water and calm water
 
 
 def tuning_of(gains: Mapping[str, float]) -> Tuning:
-    """Return the filter's tuning from among the gains of a controller."""
+    """Return the filter's tuning, which is a part of a controller's gains."""
     kind, names = (FaultTuning, FAULT_TUNING) if FAULT_TUNING[-1] in gains else (Tuning, FILTER_TUNING)
     return kind(**{name: gains[name] for name in names})
 
 
 class ExtendedKalmanFilter:
-    """The filter, for N vehicles at once: one for a rough sea and one for a calm one.
+    """Two filters for N vehicles: one with the process noise of rough water, one with that of calm water.
 
-    What they believe is averaged with their likelihoods. Its memory is two arrays, one of each filter, the rows of a
-    `filter_equations.Belief`, shape (N, rows); `believed` tells them apart.
+    Their estimates are averaged with their likelihoods as weights. The memory is two arrays, one for each filter, with
+    the rows of a `filter_equations.Belief`, shape (N, rows); see `beliefs_of`.
     """
 
     def __init__(self, vehicle: Vehicle, tuning: Tuning) -> None:
-        """Make the filter for a vehicle as it is known; with a `FaultTuning` it believes in `Faults` too."""
+        """Make the filter for a nominal vehicle; with a `FaultTuning` it estimates `Faults` as well."""
         self.vehicle, self.tuning = vehicle, tuning
         self.faults = isinstance(tuning, FaultTuning)
         rough = np.array(astuple(tuning))
@@ -98,8 +98,8 @@ class ExtendedKalmanFilter:
         self.known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
 
     def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes, which must not be changed in place."""
-        return (_first_belief(n, self.faults),) * HYPOTHESES
+        """Return the memory at the start of n episodes; it must not be changed in place."""
+        return (_initial_memory(n, self.faults),) * HYPOTHESES
 
     def update(self, memory: Memory, o: Array) -> tuple[Memory, Array]:
         """Return the memory and the state after one more observation.
@@ -109,8 +109,8 @@ class ExtendedKalmanFilter:
             o: the rows of an `Observation` in SI units, shape (SIZE, N).
 
         Returns:
-            The memory, and the rows of an `Estimate`, shape (22, N); if faults are believed in, those of `Faults`
-            and the last actions, the last one first, are behind them, shape (`BELIEVED`, N).
+            The memory, and the rows of an `Estimate`, shape (22, N). If faults are estimated, the rows of `Faults` and
+            the last actions, the latest first, follow: shape (`FAULT_FILTER_ROWS`, N).
         """
         kernel, n = filter_kernel(self.faults), o.shape[1]
         rows = [
@@ -123,10 +123,10 @@ class ExtendedKalmanFilter:
 
 
 def averaged(fits: Sequence[Number], states: Sequence[Sequence[Number]], ns: Namespace) -> list[Number]:
-    """Return the state that two filters believe in together, that of a rough sea and that of a calm one.
+    """Return the weighted mean of the states of the filters for rough and for calm water.
 
     Args:
-        fits: logarithms of the likelihoods of what was measured.
+        fits: log-likelihoods of the measurements in the two filters.
         states: rows of their states.
         ns: the namespace of the numbers.
     """
@@ -134,40 +134,40 @@ def averaged(fits: Sequence[Number], states: Sequence[Sequence[Number]], ns: Nam
     return [rough + share * (calm - rough) for rough, calm in zip(*states, strict=True)]
 
 
-def arrival(o: Array, z: Array, vehicle: Vehicle) -> Array:
-    """Return the rows of the `Estimate` when what is commanded now begins to act, shape (22, N); see `faults.arrived`.
+def estimate_after_delay(o: Array, z: Array, vehicle: Vehicle) -> Array:
+    """Return the rows of the `Estimate` when the present command begins to act, shape (22, N); see `after_delay`.
 
     Args:
         o: the rows of an `Observation` in SI units, shape (SIZE, N).
-        z: what a filter that believes in faults returns with it, shape (`BELIEVED`, N).
-        vehicle: as it is known.
+        z: the rows that a filter with faults returns for it, shape (`FAULT_FILTER_ROWS`, N).
+        vehicle: the nominal one.
     """
     known = repeated(np.array(vehicle.coefficients)[:, None], o.shape[1])
-    return arrival_kernel()(o=o, z=z, known=known)["after"]
+    return delay_kernel()(o=o, z=z, known=known)["after"]
 
 
 @cache
-def arrival_kernel() -> Kernel:
-    """Return the kernel of `faults.arrived`, which takes observation, what a filter believes, and vehicle."""
+def delay_kernel() -> Kernel:
+    """Return the kernel of `faults.after_delay`; its inputs are observation, rows of a filter and vehicle."""
 
     def equation(o: Sequence[Symbol], z: Sequence[Symbol], known: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
         terms, (estimate, faults, actions) = Observation(*o), parts(z)
         limits = terms.F_u_max, terms.F_r_max
-        return {"after": arrived(estimate, faults, actions, limits, terms.dt, Coefficients(*known), SYMBOLS)}
+        return {"after": after_delay(estimate, faults, actions, limits, terms.dt, Coefficients(*known), SYMBOLS)}
 
-    rows = {"o": len(Observation._fields), "z": BELIEVED, "known": VEHICLE_ROWS}
+    rows = {"o": len(Observation._fields), "z": FAULT_FILTER_ROWS, "known": VEHICLE_ROWS}
     return Kernel.traced(equation, rows, structural=True, blocked=True)
 
 
 def parts(z: Sequence[Any]) -> tuple[Estimate, Faults, list[tuple[Any, Any]]]:
-    """Return what a filter believes: the estimate, the faults, and the actions that may be on their way."""
+    """Return the parts of a filter's result: the estimate, the faults, and the last actions, which may not act yet."""
     estimate, faults = split(z[: STATE_SIZE + FAULTS])
     actions = z[STATE_SIZE + FAULTS :]
     return estimate, faults, list(zip(actions[::2], actions[1::2], strict=True))
 
 
-def believed(memory: Memory) -> tuple[Belief, ...]:
-    """Return the parts of the memory of each filter as rows, count (N,), state (22, N), covariance (N, 22, 22), ..."""
+def beliefs_of(memory: Memory) -> tuple[Belief, ...]:
+    """Return the memory of each filter by parts: count (N,), state (22, N), covariance (N, 22, 22) and other rows."""
     beliefs = []
     for rows in memory:
         belief = Belief.of(rows.T, rows.shape[1] != sum(Belief.sizes()))
@@ -177,12 +177,12 @@ def believed(memory: Memory) -> tuple[Belief, ...]:
 
 
 def repeated(column: Array, n: int) -> Array:
-    """Return rows (rows, n) that hold the same for n vehicles, from a column (rows, 1)."""
+    """Return a column (rows, 1) repeated for n vehicles, shape (rows, n)."""
     return column if n == 1 else np.repeat(column, n, axis=1)
 
 
 @lru_cache(maxsize=8)
-def _first_belief(n: int, faults: bool) -> Array:
+def _initial_memory(n: int, faults: bool) -> Array:
     rows = np.zeros((sum(Belief.sizes(faults)), n))
     Belief.of(rows, faults).noise[:] = np.square(FIRST_NOISE)[:, None]
     rows.setflags(write=False)
@@ -191,7 +191,7 @@ def _first_belief(n: int, faults: bool) -> Array:
 
 @cache
 def filter_kernel(faults: bool = False) -> Kernel:
-    """Return the kernel of one update, which takes observation, vehicle and tuning, and memory."""
+    """Return the kernel of one update; its inputs are observation, vehicle and tuning, and memory."""
     names = FAULT_TUNING if faults else FILTER_TUNING
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:

@@ -1,1 +1,1 @@
-"""Evaluation: policies through scenarios with paired seeds, metrics, report, and the reproduction of the paper."""
+"""Evaluation of policies on paired episodes: metrics, scores, report, frozen suites and submissions."""

@@ -1,4 +1,4 @@
-"""Who enters, with what, and what it cost: words and numbers that the submitter gives, options of evaluate.py."""
+"""The description of a submission: author, link, text and training cost, which are options of evaluate.py."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from typing import Any
 from baselines.tools.command_line import printable
 
 _LONGEST = {"author": 80, "link": 200, "description": 280}
-"""Most characters of a text, by field."""
+"""Largest number of characters of a text, by field."""
 _LARGEST = 1e15
 """Largest cost of a training, in steps or seconds."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
-"""What an entry may be called: the name of its file."""
+"""Pattern of the name of an entry, which is also the name of its file."""
 
 
 @dataclass(frozen=True)
 class About:
-    """What a submitter says of an entry; all of it may be left out."""
+    """The description of an entry by its author; all fields are optional."""
 
     author: str = ""
-    """Who enters it."""
+    """Name of the author."""
     link: str = ""
-    """Where it is explained or its code can be had, https://..."""
+    """Address of a description or of the code, https://..."""
     description: str = ""
-    """What it is, in a sentence."""
+    """Description of the policy in one sentence."""
     training_steps: float | None = None
-    """Control steps that it was trained or tuned on."""
+    """Number of control steps of the training or tuning."""
     training_seconds: float | None = None
-    """How long that took, by the clock."""
+    """Wall time of the training or tuning."""
 
 
 NOTHING = About()
-"""What is said where nothing is."""
+"""An empty description."""
 
 
 def checked_name(name: Any) -> str:
-    """Return the name of an entry.
+    """Return the name of an entry if it is valid.
 
     Raises:
-        ValueError: it is no name.
+        ValueError: the name is invalid.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(
@@ -52,14 +52,14 @@ def checked_name(name: Any) -> str:
 
 
 def checked_about(record: Any) -> About:
-    """Return what a table says of an entry.
+    """Return the description of an entry from a table.
 
     Raises:
-        ValueError: it has other fields, or one of them is not what it must be.
+        ValueError: it has other fields, or the value of a field is invalid.
     """
     known = [f.name for f in fields(About)]
     if not isinstance(record, dict) or not set(record) <= set(known):
-        raise ValueError(f"what is said of an entry must be a table with some of {', '.join(known)}")
+        raise ValueError(f"the description of an entry must be a table with some of {', '.join(known)}")
     for name, most in _LONGEST.items():
         text = record.get(name, "")
         if not isinstance(text, str) or len(text) > most or text != printable(text):

@@ -1,4 +1,4 @@
-"""An evaluation from request to report: runs, progress, tables, files."""
+"""Runs an evaluation: episodes, progress, tables, and files of results."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import versions, write_atomically
 
 _ROWS = "rows"
-"""Folder in DIR that keeps the finished runs."""
+"""Subfolder of --out with the finished runs."""
 
 
 def evaluate(request: Request) -> int:
     """Run an evaluation, print its tables, write its files and return the exit status.
 
-    Progress goes to stderr: a live line on a terminal, else a line for each policy and scenario.
+    Progress is shown on stderr: a progress bar on a terminal, otherwise a line for each policy and scenario.
     """
     out = request.options.out
     for note in request.notes:
@@ -49,16 +49,16 @@ def evaluate(request: Request) -> int:
 
 
 def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
-    """Return the runs of a request, cell by cell; each is kept in the store when it is complete."""
+    """Return the runs of a request, cell by cell; each complete run is saved in the store."""
     found, options, simulator = list(request.earlier), request.options, simulator_fingerprint()
-    others: list[str] = []  # keys of runs that another simulator has left
+    outdated: list[str] = []  # keys of runs of another version of the simulator
 
     def known(key: str) -> Run | None:
         run = store.load(key) if options.resume else None
         if run is not None and run.simulator != simulator:
-            if not others:
-                print("note: runs that another version of the simulator has left are run again", file=sys.stderr)
-            others.append(key)
+            if not outdated:
+                print("note: runs of another version of the simulator are run again", file=sys.stderr)
+            outdated.append(key)
         return run
 
     for run in report.runs(request.pairs, request.workers, options.step_limit, known):
@@ -84,16 +84,16 @@ def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None
 
 
 def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run]) -> int:
-    """Write the submission of an evaluation beside its other files, say where, and return the exit status.
+    """Write the submission of an evaluation into its folder, print the file's name and return the exit status.
 
     Args:
-        options: of the evaluation, with `submit`.
-        suite_name: of the frozen suite.
-        command: as the user gave it.
+        options: options of the evaluation, with `submit`.
+        suite_name: name of the frozen suite.
+        command: the command as typed by the user.
         found: the runs of the evaluation.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     (policy,) = set(options.policy)
     assert options.submit is not None
@@ -107,5 +107,5 @@ def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run
         print(f"no submission: {error}", file=sys.stderr)
         return FAILED
     print(f"Wrote {file}, {size / 1000:.0f} kB: {made.episodes} episodes of {suite.name}")
-    print(f"Look at it with `auv-gym submit {file} {policy!r}`")
+    print(f"Check it with `auv-gym submit {file} {policy!r}`")
     return DONE

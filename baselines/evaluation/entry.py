@@ -11,10 +11,10 @@ PROGRAM = "evaluate.py"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate as the arguments say and return the exit status.
+    """Run an evaluation and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are wrong.
     """
     options, command = parse(Options, arguments, PROGRAM), typed(PROGRAM, arguments)
     from baselines.evaluation.command import evaluate

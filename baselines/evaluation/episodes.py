@@ -1,4 +1,4 @@
-"""Whole episodes of a policy as arrays: what was seen, done, earned, and where the vehicle was."""
+"""Records whole episodes of a policy as arrays: observations, actions, rewards and positions."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from auv_gym.task.policy import Policy, preview_of
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """One episode of K control steps, from its beginning to its end."""
+    """One complete episode of K control steps."""
 
-    scenario: str  # name
-    seed: int  # an environment reset with it runs the same episode
+    scenario: str  # name of the scenario
+    seed: int  # an environment that is reset with this seed runs the same episode
     times: Array  # [s], shape (K + 1,)
     positions: Array  # x, y [m] of the centre of mass, shape (K + 1, 2)
-    references: Array  # x, y [m] where it should be, shape (K + 1, 2)
-    observations: Array  # scaled as the environment gives them, shape (K + 1, terms)
+    references: Array  # x, y [m] of the reference, shape (K + 1, 2)
+    observations: Array  # scaled as in the environment, shape (K + 1, terms)
     actions: NDArray[np.float32]  # surge and yaw command as fractions of the limits, shape (K, 2)
     rewards: Array  # shape (K,)
     errors: Array  # [m] distance to the reference, shape (K + 1,)
-    saturated: NDArray[np.bool_]  # whether an actuator was commanded to its limit before that time, shape (K + 1,)
-    failed: bool  # it ended beyond the scenario's `lost_distance`; else its time was over
+    saturated: NDArray[np.bool_]  # whether an actuator was commanded to its limit in the step before, shape (K + 1,)
+    failed: bool  # whether it ended beyond the scenario's `lost_distance`, otherwise at the end of its time
 
     @property
     def total_reward(self) -> float:
@@ -40,17 +40,17 @@ class EpisodeRecord:
 def run_episode(
     policy: Policy | str, scenario: Scenario | str | Mapping[str, Any] = "paper-circle", seed: int = 0
 ) -> EpisodeRecord:
-    """Return what a policy does in one episode, the one of an environment reset with the seed.
+    """Run a policy in one episode and return the record; an environment reset with the seed runs the same episode.
 
     Args:
-        policy: whatever has the `predict` of Stable-Baselines3, or a name or path for `make_policy`; its memory is
-            kept, and it sees as much of the path ahead as it asks for in `preview`.
+        policy: an object with the `predict` of Stable-Baselines3, or a name or path for `make_policy`. It gets its
+            memory back at each step, and the preview of its attribute `preview`.
         scenario: a `Scenario`, its dict, or a preset's name.
-        seed: of the episode.
+        seed: seed of the episode.
 
     Raises:
         OSError: the policy's file cannot be read.
-        ValueError: policy or scenario are not what they must be.
+        ValueError: policy or scenario is invalid.
         PolicyError: the policy gives no usable action, see `baselines.evaluation.rollout`.
     """
     return run_episodes(policy, scenario, 1, seed)[0]
@@ -62,17 +62,17 @@ def run_episodes(
     episodes: int = 20,
     seed: int = 0,
 ) -> list[EpisodeRecord]:
-    """Return what a policy does in several episodes, which run side by side; episode i has `seed + i`.
+    """Run a policy in several parallel episodes and return the records; episode i has the seed `seed + i`.
 
     Args:
-        policy: whatever has the `predict` of Stable-Baselines3 for batches, or a name or path for `make_policy`.
+        policy: an object with the `predict` of Stable-Baselines3 for batches, or a name or path for `make_policy`.
         scenario: a `Scenario`, its dict, or a preset's name.
-        episodes: how many.
-        seed: of the first.
+        episodes: number of episodes.
+        seed: seed of the first episode.
 
     Raises:
         OSError: the policy's file cannot be read.
-        ValueError: policy, scenario or their number are not what they must be.
+        ValueError: policy, scenario or number of episodes is invalid.
         PolicyError: the policy gives no usable action, see `baselines.evaluation.rollout`.
     """
     from baselines.evaluation.rollout import beginning, play
@@ -83,24 +83,24 @@ def run_episodes(
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 1:
         raise ValueError(f"episodes is {episodes!r}; it must be an integer of at least 1")
     known = as_scenario(scenario)
-    acting: Any = make_policy(policy, known.vehicle) if isinstance(policy, str) else policy
+    made: Any = make_policy(policy, known.vehicle) if isinstance(policy, str) else policy
     cell = drawn(known, episodes, seed)
-    if isinstance(acting, Privileged):
-        acting.prepare(known, cell.episodes)
-    env, first = beginning([(known, cell.episodes)], preview_of(acting))
-    places, moments, observations = [_places(env)], [], [first]
-    errors = [np.hypot(*(places[0][:, :2] - places[0][:, 2:]).T)]
-    for moment in play(acting, (env, first), known.steps):
-        places.append(_places(env))
+    if isinstance(made, Privileged):
+        made.prepare(known, cell.episodes)
+    env, first = beginning([(known, cell.episodes)], preview_of(made))
+    positions, moments, observations = [_positions(env)], [], [first]
+    errors = [np.hypot(*(positions[0][:, :2] - positions[0][:, 2:]).T)]
+    for moment in play(made, (env, first), known.steps):
+        positions.append(_positions(env))
         moments.append(moment)
         observations.append(moment.following)
         errors.append(moment.error)
     running = np.array([m.running for m in moments])
-    tables = [np.array(rows) for rows in (places, observations, errors)]
+    tables = [np.array(rows) for rows in (positions, observations, errors)]
     return [_record(known, seed + i, i, int(running[:, i].sum()), moments, *tables) for i in range(episodes)]
 
 
-def _places(env: Any) -> Array:
+def _positions(env: Any) -> Array:
     """Return x, y [m] of the vehicles and of their references, shape (N, 4)."""
     return np.concatenate((env.position, np.transpose(env.reference[:2])), axis=1)
 
@@ -111,18 +111,18 @@ def _record(
     i: int,
     steps: int,
     moments: list[Any],
-    places: Array,
+    positions: Array,
     observations: Array,
     errors: Array,
 ) -> EpisodeRecord:
-    """Return the record of vehicle i, whose episode took so many steps."""
+    """Return the record of vehicle i, whose episode has `steps` steps."""
     own = moments[:steps]
     return EpisodeRecord(
         scenario=scenario.name,
         seed=seed,
         times=np.arange(steps + 1, dtype=np.float64) * scenario.control_dt,
-        positions=places[: steps + 1, i, :2],
-        references=places[: steps + 1, i, 2:],
+        positions=positions[: steps + 1, i, :2],
+        references=positions[: steps + 1, i, 2:],
         observations=observations[: steps + 1, i],
         actions=np.clip([m.command[i] for m in own], -1.0, 1.0).astype(np.float32),
         rewards=np.array([m.reward[i] for m in own]),

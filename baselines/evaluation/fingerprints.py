@@ -1,4 +1,4 @@
-"""What makes a policy's numbers, as a hash: rows that were made by something else do not count."""
+"""Fingerprints: hashes of the code and data of a policy and of the simulator, which show if results are outdated."""
 
 from __future__ import annotations
 
@@ -22,31 +22,41 @@ from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.gains.loading import GAINS_FOLDER as GAINS
 
-ROOMS = ("baselines.agents", "baselines.control", "baselines.estimation", "baselines.gains", "baselines.policy")
-"""Modules that policies are made of; what tunes, trains and measures them stands elsewhere."""
-_AGENT_CODE = "baselines.agents.residual_policy"  # the module that trained agents act by
-_GUARD_CODE = "baselines.agents.guard"  # the module that guards act by
-_GUARD_LAW = "backstepping"  # whose gains a guard watches, and hands over to
-ACTING = ("format", "network", "inputs", "features", "observation", "expert", "authority")
-"""Entries of agent.json that an agent's actions depend on; `region` does where corrections fade."""
-LARGEST_POLICY_FILE = 2**28  # [bytes] of a file that is read
+POLICY_PACKAGES = (
+    "baselines.agents",
+    "baselines.control",
+    "baselines.estimation",
+    "baselines.gains",
+    "baselines.policy",
+)
+"""Packages and modules with the code of policies; the code that tunes, trains and evaluates them does not count."""
+_AGENT_CODE = "baselines.agents.residual_policy"  # the module that runs trained agents
+_GUARD_CODE = "baselines.agents.guard"  # the module of guards
+_GUARD_LAW = "backstepping"  # the default fallback of a guard, whose gains its thresholds use
+AGENT_KEYS = ("format", "network", "inputs", "features", "observation", "expert", "authority")
+"""Keys of agent.json that affect an agent's actions; with gated corrections `region` affects them too."""
+LARGEST_POLICY_FILE = 2**28  # [bytes] largest file that is read
 
 
 def fingerprint(name: str) -> str:
-    """Return a SHA-256 of what makes a policy's numbers; "" where there is nothing of that name.
+    """Return the SHA-256 of everything that determines a policy's actions; "" if there is no such policy.
 
-    Of FILE.py:FACTORY, FILE.zip and FILE.onnx that is the file; what it imports does not count. Of a program the words
-    of its command and the files that they name, see `files_of`. Of an agent the weights, what acts in its description,
-    its expert and the code that runs it. Of a policy with a guard what that is of it and of the one that takes over,
-    and the guard's code. Of a controller its options, its gains and the code of the modules that it is made of, without
-    docstrings, comments and format.
+    The hash covers:
+
+    - FILE.py:FACTORY, FILE.zip and FILE.onnx: the file, without the modules that it imports;
+    - a program: the words of its command and the files in them, see `files_of`;
+    - an agent: its weights, `AGENT_KEYS` of its description, its expert and the code that runs it;
+    - a policy with a guard: the fingerprints of both policies, and the code of the guard;
+    - a controller: its options, its gains and the code of its modules.
+
+    Docstrings, comments and formatting of the code do not count.
 
     Raises:
         ValueError: a file is larger than `LARGEST_POLICY_FILE`, or a folder has too many files.
     """
     if (parts := guarded_name(name)) is not None:
         both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
-        return _hash([*both, *(unit.digest for unit in _closure(_GUARD_CODE))]) if all(both) else ""
+        return _hash([*both, *(module.digest for module in _imported(_GUARD_CODE))]) if all(both) else ""
     bare = name.removesuffix(FADING)
     try:
         if name.startswith(COMMAND):
@@ -57,8 +67,8 @@ def fingerprint(name: str) -> str:
         if ".py:" in bare:
             return _hash([_bytes(Path(bare.rpartition(":")[0]))])
         if bare.endswith(".zip"):
-            beside = statistics_file(Path(bare))
-            return _hash([_bytes(Path(bare)), *([_bytes(beside)] if beside else [])])
+            statistics = statistics_file(Path(bare))
+            return _hash([_bytes(Path(bare)), *([_bytes(statistics)] if statistics else [])])
         if bare in POLICIES:
             return _of_controller(bare)
         if (folder := agent_folder(bare)) is not None:
@@ -68,8 +78,8 @@ def fingerprint(name: str) -> str:
     return ""
 
 
-def watched(name: str) -> str | None:
-    """Return what of a policy is in its fingerprint, where that is not all that it is made of; else None."""
+def covered_files(name: str) -> str | None:
+    """Return a text that lists what the fingerprint of a policy covers; None if it covers everything."""
     parts = []
     for part in guarded_name(name) or (name,):
         if part.startswith(COMMAND):
@@ -82,42 +92,42 @@ def watched(name: str) -> str | None:
 
 
 _NAMED = 5
-"""Most files that are named in a line."""
-SIMULATOR = "auv_gym.envs.track_vector_env"  # the module of the environment that policies are run in
-SIMULATOR_ROOMS = ("codegen", "envs", "physics", "planning", "scenarios", "task")
-"""Folders of the modules that make an episode's numbers, with a policy's actions."""
+"""Largest number of files in the text of `covered_files`."""
+SIMULATOR = "auv_gym.envs.track_vector_env"  # the module of the environment of evaluations
+SIMULATOR_PACKAGES = ("codegen", "envs", "physics", "planning", "scenarios", "task")
+"""Packages of auv_gym that determine an episode, together with the actions."""
 NOT_SIMULATOR = ("auv_gym.codegen.native", "auv_gym.codegen.cache")
-"""Modules that only decide where and by which compiler code is built; results do not depend on that."""
+"""Modules that choose the compiler and the place of compiled code, which do not affect results."""
 
 
 def simulator_fingerprint() -> str:
-    """Return a SHA-256 of the code that simulates: of the environment and all that it imports of the package.
+    """Return the SHA-256 of the simulator's code: the environment and the modules of the package that it imports.
 
-    Docstrings, comments, format and the names of modules do not count.
+    Docstrings, comments, formatting and the names of modules do not count.
     """
-    rooms = tuple(f"auv_gym.{room}" for room in SIMULATOR_ROOMS)
-    return _hash([unit.digest for unit in _closure(SIMULATOR, rooms=rooms, without=NOT_SIMULATOR)])
+    packages = tuple(f"auv_gym.{package}" for package in SIMULATOR_PACKAGES)
+    return _hash([module.digest for module in _imported(SIMULATOR, packages=packages, without=NOT_SIMULATOR)])
 
 
-def _of_agent(folder: Path, fades: bool) -> str:
+def _of_agent(folder: Path, gated: bool) -> str:
     record = json.loads(_bytes(folder / AGENT_FILE))
-    acting = {key: record.get(key) for key in (*ACTING, *(("region",) if fades else ()))}
+    description = {key: record.get(key) for key in (*AGENT_KEYS, *(("region",) if gated else ()))}
     expert = record["expert"]
-    parts = [json.dumps(acting, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
-    return _hash([_bytes(folder / WEIGHTS), *parts, *(unit.digest for unit in _closure(_AGENT_CODE))])
+    parts = [json.dumps(description, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
+    return _hash([_bytes(folder / WEIGHTS), *parts, *(module.digest for module in _imported(_AGENT_CODE))])
 
 
 def _of_controller(name: str) -> str:
     factory, options, _ = POLICIES[name]
     parts = (factory.func, *factory.args, *factory.keywords.values()) if isinstance(factory, partial) else (factory,)
-    code = list(_closure(*(part.__module__ for part in parts if callable(part))))
+    code = list(_imported(*(part.__module__ for part in parts if callable(part))))
     if not code and (file := inspect.getsourcefile(inspect.getmodule(factory) or type(factory))):
-        code = [_unit(Path(file))]
-    words = {part for part in parts if isinstance(part, str)}.union(*(unit.words for unit in code))
+        code = [_module(Path(file))]
+    words = {part for part in parts if isinstance(part, str)}.union(*(module.words for module in code))
     gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
     numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
     settings = [repr(part) for part in parts if not callable(part)] + [repr(sorted(options.items()))]
-    return _hash([*settings, *numbers, *(unit.digest for unit in code)])
+    return _hash([*settings, *numbers, *(module.digest for module in code)])
 
 
 def _gains(file: Path) -> Any:
@@ -125,40 +135,41 @@ def _gains(file: Path) -> Any:
     return record.get("gains", record) if isinstance(record, dict) else record
 
 
-class Unit(NamedTuple):
+class Module(NamedTuple):
     """A module of Python code."""
 
     digest: str
-    imports: frozenset[str]  # names of modules, or of something in them
+    imports: frozenset[str]  # full names of imported modules and objects
     words: frozenset[str]  # its string constants
 
 
-def _closure(*modules: str, rooms: Sequence[str] = ROOMS, without: Sequence[str] = ()) -> Iterator[Unit]:
-    """Yield modules and all that they import within some packages, in the order of their digests."""
-    units: dict[str, Unit] = {}
-    waiting = set(modules)
-    while waiting:
-        name = waiting.pop()
-        if name in units or name in without or not f"{name}.".startswith(tuple(f"{room}." for room in rooms)):
+def _imported(*names: str, packages: Sequence[str] = POLICY_PACKAGES, without: Sequence[str] = ()) -> Iterator[Module]:
+    """Yield modules and all modules of some packages that they import, also indirectly, ordered by digest."""
+    prefixes = tuple(f"{package}." for package in packages)
+    modules: dict[str, Module] = {}
+    remaining = set(names)
+    while remaining:
+        name = remaining.pop()
+        if name in modules or name in without or not f"{name}.".startswith(prefixes):
             continue
         try:
             spec = importlib.util.find_spec(name)
-        except ModuleNotFoundError:  # its parent is a module: the name is of something in it
+        except ModuleNotFoundError:  # the name of an object in a module
             spec = None
         if spec is not None and spec.origin is not None:
-            units[name] = _unit(Path(spec.origin))
-            waiting |= units[name].imports
-    return iter(sorted(units.values(), key=lambda unit: unit.digest))
+            modules[name] = _module(Path(spec.origin))
+            remaining |= modules[name].imports
+    return iter(sorted(modules.values(), key=lambda module: module.digest))
 
 
-def _unit(file: Path) -> Unit:
+def _module(file: Path) -> Module:
     state = file.stat()
     return _parsed(file, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=256)
-def _parsed(file: Path, *_: int) -> Unit:
-    """Return the unit of a file, read again where its time or size are others."""
+def _parsed(file: Path, *_: int) -> Module:
+    """Return the module of a file; the other arguments are its time and size, so that a changed file is read again."""
     tree = ast.parse(_bytes(file))
     imports: set[str] = set()
     for node in ast.walk(tree):
@@ -167,17 +178,16 @@ def _parsed(file: Path, *_: int) -> Unit:
         elif isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
     words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    return Unit(_hash([repr(_plain(tree))]), frozenset(imports), frozenset(words))
+    return Module(_hash([repr(_plain(tree))]), frozenset(imports), frozenset(words))
 
 
 def _plain(node: Any) -> Any:
-    """Return a syntax tree as lists, the same in every version of Python.
+    """Return a syntax tree as lists, which are the same in every version of Python.
 
-    Strings that stand alone are left out, and the names of modules that something is imported from: code that has moved
-    is the same code.
+    Docstrings are left out, and so are the modules of `from` imports, so that moved code has the same hash.
     """
     if isinstance(node, list):
-        return [_plain(item) for item in node if not _stands_alone(item)]
+        return [_plain(item) for item in node if not _is_docstring(item)]
     if not isinstance(node, ast.AST):
         return repr(node)
     entries = (
@@ -186,7 +196,7 @@ def _plain(node: Any) -> Any:
     return [type(node).__name__, *((name, _plain(value)) for name, value in entries)]
 
 
-def _stands_alone(node: Any) -> bool:
+def _is_docstring(node: Any) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
@@ -194,7 +204,7 @@ def _bytes(file: Path) -> bytes:
     if not file.is_file():
         raise FileNotFoundError(file)
     if file.stat().st_size > LARGEST_POLICY_FILE:
-        raise ValueError(f"{file} is larger than {LARGEST_POLICY_FILE} bytes, so it is no policy's")
+        raise ValueError(f"{file} is larger than {LARGEST_POLICY_FILE} bytes, the limit for files of policies")
     return file.read_bytes()
 
 

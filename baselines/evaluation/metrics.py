@@ -1,8 +1,8 @@
-"""What an evaluation measures: every number of the report is defined here or in `score`, once.
+"""The metrics of an evaluation; `score` has the definition of the score.
 
-An episode of N control steps gives two arrays, k = 1 ... N: e_k [m] is the distance of the centre of mass to the
-reference after step k, and a_k = (a_u, a_r) the normalised command of step k, clipped to [-1, 1] as the actuators do.
-Functions of errors take e_k along axis 0, for one episode or many: shape (N,) or (N, episodes).
+An episode of N control steps, k = 1 ... N, has errors and commands. The error e_k [m] is the distance of the centre of
+mass to the reference after step k. The command a_k = (a_u, a_r) of step k is normalised and clipped to [-1, 1], as in
+the actuators. Functions of errors take e_k along axis 0, for one episode (N,) or several (N, episodes).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from scipy.special import betaincinv, ndtr, ndtri
 from auv_gym.physics.namespaces import Array
 
 RESAMPLES = 2000
-"""Bootstrap samples behind an interval."""
+"""Number of bootstrap samples of an interval."""
 WORST = 0.05
-"""Share of the episodes that the conditional value at risk averages over."""
+"""Share of the worst episodes whose mean is the conditional value at risk."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """The way of one episode through the plane, one row for each control instant, the start included."""
+    """The trajectory of one episode in the plane, one row for each control instant, including the start."""
 
     position: Array  # x, y [m], shape (n, 2)
     reference: Array  # x, y [m], shape (n, 2)
     heading: Array  # psi, psi_R [rad], shape (n, 2)
-    current: Array  # V_x, V_y [m/s] in the world of the water where the vehicle is, shape (n, 2)
+    current: Array  # V_x, V_y [m/s] of the water at the vehicle, in world axes, shape (n, 2)
 
     @property
     def error(self) -> Array:
@@ -42,17 +42,17 @@ class Track:
 
 @dataclass(frozen=True)
 class Measures:
-    """What is measured of M episodes, one entry each: arrays of shape (M,)."""
+    """The metrics of M episodes, arrays of shape (M,)."""
 
     rmse: Array  # [m]
-    steady_rmse: Array  # [m] tail RMSE
+    steady_rmse: Array  # [m] see `steady_rmse`
     settling: Array  # [s]
     effort: Array
     smoothness: Array
     saturation: Array  # share of the steps with an actuator commanded to its limit
     total_reward: Array
-    steps: Array  # control steps until the end
-    failed: NDArray[np.bool_]  # ended farther from the reference than the scenario allows
+    steps: Array  # number of control steps
+    failed: NDArray[np.bool_]  # whether it ended beyond the scenario's `lost_distance`
 
     def __len__(self) -> int:
         return len(self.steady_rmse)
@@ -62,15 +62,15 @@ class Measures:
 
     @classmethod
     def joined(cls, parts: Sequence[Measures]) -> Measures:
-        """Return the measures of all parts' episodes, in order."""
+        """Return the metrics of the episodes of all parts, in order."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 class Ended(NamedTuple):
-    """How episodes ended, arrays of one shape."""
+    """The outcome of episodes, arrays of the same shape."""
 
-    steady_rmse: Array  # [m] tail RMSE; of an episode that was lost it means nothing
-    failed: NDArray[np.bool_]  # ended beyond the scenario's lost distance
+    steady_rmse: Array  # [m] meaningless for failed episodes
+    failed: NDArray[np.bool_]  # whether it ended beyond the scenario's `lost_distance`
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Spread:
     """The distribution of one quantity over episodes."""
 
     mean: float
-    ci95: tuple[float, float]  # of the mean
+    ci95: tuple[float, float]  # 95 % confidence interval of the mean
     median: float
     p95: float  # 95th percentile over episodes
     cvar95: float  # mean of the worst 5 %
@@ -86,7 +86,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Summary:
-    """A policy in a scenario: averages over its episodes."""
+    """Metrics of a policy in a scenario, averaged over its episodes."""
 
     episodes: int
     rmse_m: float  # [m]
@@ -104,19 +104,19 @@ def rmse(errors: Array) -> Array:
 
 
 def steady_rmse(errors: Array) -> Array:
-    """Return sqrt(mean_(k > floor(N/3)) e_k^2) [m]: the error once the start is forgotten."""
+    """Return sqrt(mean_(k > floor(N/3)) e_k^2) [m], the steady-state RMSE: after the first third of the episode."""
     return rmse(errors[len(errors) // 3 :])
 
 
 def settling_time(errors: Array, bound: float, dt: float) -> Array:
-    """Return the time [s] of the last e_k above the bound [m], dt [s] apart: the duration N dt if it is the last."""
+    """Return the time [s] of the last e_k above a bound [m], for a control period dt [s]; 0 if there is none."""
     above = errors > bound
     last = len(errors) - np.argmax(above[::-1], axis=0)
     return np.asarray(np.where(above.any(axis=0), last, 0) * dt)
 
 
 def effort(actions: Array) -> float:
-    """Return mean_k (a_u,k^2 + a_r,k^2) / 2, the mean square of normalised commands, shape (n, ..., 2)."""
+    """Return mean_k (a_u,k^2 + a_r,k^2) / 2, the mean square of normalised commands of shape (n, ..., 2)."""
     return float(np.mean(np.square(actions)))
 
 
@@ -128,9 +128,9 @@ def smoothness(actions: Array) -> float:
 def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     """Return the 95 % confidence interval of the mean of independent values, by bias-corrected bootstrap.
 
-    The interval is BCa, that of `scipy.stats.bootstrap` (B. Efron, "Better bootstrap confidence intervals", Journal of
-    the American Statistical Association 82:171-185, 1987). The resampling is seeded and drawn once for each number of
-    values, so the same values give the same interval. One value has none: (nan, nan).
+    The interval is the BCa interval, as in `scipy.stats.bootstrap` (B. Efron, "Better bootstrap confidence intervals",
+    Journal of the American Statistical Association 82:171-185, 1987). The resampling has a fixed seed, so the same
+    values give the same interval. For a single value the result is (nan, nan).
     """
     values = np.asarray(values, dtype=np.float64)
     if len(values) < 2:
@@ -149,13 +149,13 @@ def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
 
 @lru_cache(maxsize=4)
 def _drawn(count: int) -> NDArray[np.int64]:
-    """Return which of so many values each bootstrap sample has, shape (RESAMPLES, count)."""
+    """Return the indices of the values in each bootstrap sample of `count` values, shape (RESAMPLES, count)."""
     return np.random.default_rng(0).integers(0, count, (RESAMPLES, count))
 
 
 @lru_cache(maxsize=8)
 def resamplings(lengths: tuple[int, ...]) -> list[Array]:
-    """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""
+    """Return the bootstrap weights of the episodes of each case, shape (1 + RESAMPLES, n); the first row is ones."""
     rng = np.random.default_rng(0)
     counts = (rng.multinomial(n, np.full(n, 1 / n), RESAMPLES) for n in lengths)
     return [np.vstack((np.ones((1, n)), count)) for n, count in zip(lengths, counts, strict=True)]
@@ -163,38 +163,38 @@ def resamplings(lengths: tuple[int, ...]) -> list[Array]:
 
 @lru_cache(maxsize=4)
 def seed_shares(count: int) -> Array:
-    """Return the share of each training seed: a first row of equal ones, then one for each bootstrap sample."""
+    """Return the bootstrap weights of training seeds, shape (1 + RESAMPLES, count); the first row is uniform."""
     drawn = np.random.default_rng(1).multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
     return np.vstack((np.full((1, count), 1 / count), drawn))
 
 
 def cvar(values: Array) -> float:
-    """Return the mean of the worst share `WORST` of the values, shape (M,); at least of one."""
+    """Return the mean of the largest share `WORST` of the values, shape (M,), at least of one value."""
     worst = max(1, math.ceil(WORST * len(values) - 1e-9))
     return float(np.mean(np.sort(values)[-worst:]))
 
 
 def distribution(values: Array, interval: bool = True) -> Spread:
-    """Return mean, its interval, median, 95th percentile and mean of the worst 5 % of one value per episode."""
+    """Return the distribution of one value per episode; without `interval` the interval of the mean is nan."""
     ends = bootstrap_interval(values) if interval else (math.nan, math.nan)
     median, p95 = np.quantile(values, (0.5, 0.95))
     return Spread(float(np.mean(values)), ends, float(median), float(p95), cvar(values))
 
 
 def failure_bound(failed: int, episodes: int) -> float:
-    """Return the upper end of a share's one-sided 95 % interval (Clopper and Pearson): for none about 3 / episodes."""
+    """Return the 95 % upper confidence bound of a failure rate (Clopper and Pearson), about 3 / episodes for none."""
     return float(betaincinv(failed + 1, episodes - failed, 0.95)) if failed < episodes else 1.0
 
 
 def share_interval(failed: int, episodes: int) -> tuple[float, float]:
-    """Return the two-sided 95 % interval of a share (Clopper and Pearson), of independent episodes."""
+    """Return the two-sided 95 % interval (Clopper and Pearson) of the failure rate of independent episodes."""
     low = betaincinv(failed, episodes - failed + 1, 0.025) if failed > 0 else 0.0
     high = betaincinv(failed + 1, episodes - failed, 0.975) if failed < episodes else 1.0
     return float(low), float(high)
 
 
 def summarise(m: Measures, interval: bool = True) -> Summary:
-    """Return the averages over the episodes of one policy; the tail's interval, which takes its time, if need be."""
+    """Return the averages over the episodes of a policy; `interval` adds that of the steady-state RMSE (slow)."""
     return Summary(
         episodes=len(m),
         rmse_m=float(np.mean(m.rmse)),
@@ -208,5 +208,5 @@ def summarise(m: Measures, interval: bool = True) -> Summary:
 
 
 def ratio(value: float, reference: float) -> float:
-    """Return value / reference, nan where the reference is zero."""
+    """Return value / reference, nan if the reference is zero."""
     return value / reference if reference else math.nan

@@ -1,4 +1,4 @@
-"""How far an evaluation is: a live line on a terminal, else a line for each run, with the time that is left."""
+"""Shows the progress of an evaluation: a progress bar on a terminal, otherwise a line for each run."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.tools.workers import Workers
 
 INTERVAL = 0.5
-"""Seconds between two looks at the board."""
+"""Seconds between two updates."""
 MINUTE = 60.0
-"""Seconds between two lines where there is no terminal."""
+"""Seconds between two lines without a terminal."""
 
 
 @dataclass(frozen=True)
 class StepCounter:
-    """A folder where tasks write how many control steps they have done; one that they cannot reach is no error.
+    """A folder in which each task writes its number of finished control steps; a failed write is no error.
 
-    rich and tqdm count in one process, and queues of multiprocessing and of Ray reach the workers of one kind only; a
-    folder needs no process of its own, and loses nothing with a worker that is killed.
+    rich and tqdm count in one process, and a queue reaches worker processes of one library only. A folder works for
+    all, and keeps the count of a worker that is killed.
     """
 
     folder: Path
 
     def note(self, task: str, steps: int) -> None:
-        """Write down the steps of a task."""
+        """Write the number of steps of a task."""
         with contextlib.suppress(OSError):
             (self.folder / task).write_text(str(steps), encoding="ascii")
 
@@ -43,23 +43,23 @@ class StepCounter:
         """Return the steps of all tasks."""
         found = 0
         for file in self.folder.iterdir():
-            with contextlib.suppress(OSError, ValueError):  # a file that is just being written
+            with contextlib.suppress(OSError, ValueError):  # a worker is writing the file
                 found += int(file.read_text(encoding="ascii"))
         return found
 
 
 class Clock:
-    """Estimates the time that is left from the steps done since it was made."""
+    """Estimates the remaining time from the control steps since its construction."""
 
     def __init__(self, steps: int, now: Callable[[], float] = time.monotonic) -> None:
         self._steps, self._now, self._start, self._before = steps, now, now(), 0
 
     def skip(self, steps: int) -> None:
-        """Steps that were not done now: an earlier evaluation has left them."""
+        """Exclude steps of an earlier evaluation from the estimate."""
         self._before += steps
 
     def left(self, done: int) -> str:
-        """Return how long it takes from `done` steps on, as ", 3 min left"; nothing while that cannot be known."""
+        """Return the remaining time after `done` steps, such as ", 3 min left"; empty if there is no estimate."""
         new = done - self._before
         if new <= 0 or done >= self._steps:
             return ""
@@ -69,11 +69,11 @@ class Clock:
 
 @dataclass(frozen=True)
 class Listener:
-    """Where progress is told."""
+    """Receiver of progress: messages, finished runs and numbers of control steps."""
 
     message: Callable[[str], None]
     run: Callable[[Run], None]
-    board: StepCounter
+    counter: StepCounter
 
     def runs(
         self,
@@ -82,30 +82,30 @@ class Listener:
         step_limit: float = STEP_LIMIT,
         known: Callable[[str], Run | None] = lambda _: None,
     ) -> Iterator[Run]:
-        """Yield the runs of `runner.runs` and show each of them once the caller has taken it."""
-        for run in runs(pairs, workers, step_limit, self.board.note, known):
+        """Yield the runs of `runner.runs`; each is shown after the caller has processed it."""
+        for run in runs(pairs, workers, step_limit, self.counter.note, known):
             yield run
             self.run(run)
 
 
 @contextmanager
 def progress(pairs: Sequence[tuple[str, Cell]]) -> Iterator[Listener]:
-    """Show on stderr how far an evaluation of these policies, each in its cell, is."""
+    """Show the progress of an evaluation of these policies and cells on stderr, within a `with` block."""
     steps = sum(len(cell.episodes) * cell.scenario.steps for _, cell in pairs)
     with TemporaryDirectory() as folder:
-        board, err = StepCounter(Path(folder)), Console(stderr=True, highlight=False)
-        with (_bar if err.is_terminal else _lines)(len(pairs), steps, board, err) as listener:
+        counter, err = StepCounter(Path(folder)), Console(stderr=True, highlight=False)
+        with (_bar if err.is_terminal else _lines)(len(pairs), steps, counter, err) as listener:
             yield listener
 
 
 def run_and_show(pairs: Sequence[tuple[str, Cell]], workers: Workers, step_limit: float = STEP_LIMIT) -> list[Run]:
-    """Return the run of each policy in its cell, in the order of completion, and show on stderr how far they are."""
+    """Return the run of each policy in its cell, in the order of completion, and show the progress on stderr."""
     with progress(pairs) as report:
         return list(report.runs(pairs, workers, step_limit))
 
 
 @contextmanager
-def _bar(count: int, steps: int, board: StepCounter, err: Console) -> Iterator[Listener]:
+def _bar(count: int, steps: int, counter: StepCounter, err: Console) -> Iterator[Listener]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     done = iter(range(1, count + 1))
     with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, transient=True) as bar:
@@ -113,17 +113,17 @@ def _bar(count: int, steps: int, board: StepCounter, err: Console) -> Iterator[L
         listener = Listener(
             lambda text: bar.update(task, description=text),
             lambda run: bar.update(task, description=f"{next(done)}/{count} {run.policy} in {run.scenario.name}"),
-            board,
+            counter,
         )
-        with _watched(board, lambda total: bar.update(task, completed=total)):
+        with _polled(counter, lambda total: bar.update(task, completed=total)):
             yield listener
 
 
 @contextmanager
-def _lines(count: int, steps: int, board: StepCounter, _: Console) -> Iterator[Listener]:
+def _lines(count: int, steps: int, counter: StepCounter, _: Console) -> Iterator[Listener]:
     clock, done, last = Clock(steps), iter(range(1, count + 1)), [time.monotonic()]
 
-    def say(text: str) -> None:
+    def show(text: str) -> None:
         last[0] = time.monotonic()
         print(text, file=sys.stderr, flush=True)
 
@@ -131,26 +131,26 @@ def _lines(count: int, steps: int, board: StepCounter, _: Console) -> Iterator[L
         if run.known:
             clock.skip(len(run.measures or ()) * run.scenario.steps)
         state = "failed" if run.error else "known" if run.known else "done"
-        say(f"[{next(done)}/{count}] {run.policy} in {run.scenario.name}: {state}{clock.left(board.total())}")
+        show(f"[{next(done)}/{count}] {run.policy} in {run.scenario.name}: {state}{clock.left(counter.total())}")
 
-    def tick(total: int) -> None:
+    def update(total: int) -> None:
         if time.monotonic() - last[0] > MINUTE:
-            say(f"{100 * total / steps:.0f} %{clock.left(total)}")
+            show(f"{100 * total / steps:.0f} %{clock.left(total)}")
 
-    with _watched(board, tick):
-        yield Listener(say, line, board)
+    with _polled(counter, update):
+        yield Listener(show, line, counter)
 
 
 @contextmanager
-def _watched(board: StepCounter, tick: Callable[[int], None]) -> Iterator[None]:
-    """Call with the board's total again and again, from another thread."""
+def _polled(counter: StepCounter, update: Callable[[int], None]) -> Iterator[None]:
+    """Call `update` with the total number of steps every `INTERVAL`, from another thread, within a `with` block."""
     over = threading.Event()
 
-    def watch() -> None:
+    def poll() -> None:
         while not over.wait(INTERVAL):
-            tick(board.total())
+            update(counter.total())
 
-    thread = threading.Thread(target=watch, daemon=True)
+    thread = threading.Thread(target=poll, daemon=True)
     thread.start()
     try:
         yield

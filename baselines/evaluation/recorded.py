@@ -1,10 +1,11 @@
-"""What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
+"""Recorded rows: results of policies on the frozen suites, so that slow policies need not run again.
 
-A file SUITE/POLICY.npz each, made by `python -m research suites record SUITE --policy POLICY ...`. It names the suite's
-hash. `STAMPS_FILE` has, for each file, its own hash and the fingerprints of the policy and the simulator that made it.
-Where the suite, the file or the policy is another one now, the rows do not count, until they are recorded again or
-`verify` finds that the policy still gives the same numbers. Where the simulator is another one, they count, and a note
-says so. A slow policy may have run the first episodes of each cell only, an agent its regime's cells.
+The file SUITE/POLICY.npz is made by `python -m research suites record SUITE --policy POLICY ...`, and has the hash of
+the suite. `STAMPS_FILE` has the hash of each file, and the fingerprints of the policy and of the simulator.
+
+Rows are not used if the suite, the file or the policy has changed. They are used again after a new recording, or after
+`verify` has shown that the policy gives the same results. If the simulator has changed, rows are used with a note. A
+slow policy may have run only the first episodes of each cell, and an agent only the cells of its speed range.
 """
 
 from __future__ import annotations
@@ -35,31 +36,31 @@ from baselines.tools.files import json_text, write_atomically
 
 RECORDED_FOLDER = Path(__file__).parent / "data" / "recorded"  # a folder for each suite, a file for each policy
 RECORDED_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1", "vehicles-v1")
-"""The suites that rows are recorded of."""
-STAMPS_FILE = "fingerprints.json"  # file of the fingerprints of what was recorded
+"""The suites with recorded rows."""
+STAMPS_FILE = "fingerprints.json"  # file of the hashes and fingerprints
 
 
 DIGITS = {"rmse": 8, "effort": 11, "smoothness": 13, "total_reward": 8}
-"""Binary digits that are kept of measures of which nothing but means over episodes is told; no printed figure needs
-more. Of the others all that single precision has."""
+"""Binary digits of metrics of which only means over episodes are reported; no printed number needs more. The other
+metrics have single precision."""
 
 
 @dataclass(frozen=True)
 class Found:
     """The recorded rows of a suite."""
 
-    runs: tuple[Run, ...]  # policy by policy in the order of the registry, cell by cell
-    refused: dict[str, str]  # why the rows of a policy do not count, by its name
-    note: str = ""  # says that the simulator has changed since, if it has
+    runs: tuple[Run, ...]  # ordered by policy, as in the registry, then by cell
+    refused: dict[str, str]  # the reason why rows are not used, by policy
+    note: str = ""  # a note if the simulator has changed
 
 
 def load_recorded(suite: Suite, folder: Path = RECORDED_FOLDER) -> Found:
-    """Return the recorded runs of a suite that count."""
+    """Return the recorded runs of a suite, without outdated ones."""
     runs: list[Run] = []
     refused: dict[str, str] = {}
     stamps, simulators = _stamps(folder), set()
     for policy in recorded_policies(suite, folder):
-        found = _counted(suite, policy, stamps, folder)
+        found = _usable(suite, policy, stamps, folder)
         if isinstance(found, str):
             refused[policy] = found
         else:
@@ -70,26 +71,26 @@ def load_recorded(suite: Suite, folder: Path = RECORDED_FOLDER) -> Found:
     return Found(tuple(runs), refused, note)
 
 
-def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder: Path) -> list[Run] | str:
-    """Return the runs that are kept of a policy, or why they do not count."""
+def _usable(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder: Path) -> list[Run] | str:
+    """Return the recorded runs of a policy, or the reason why they are not used."""
     try:
-        own = read_recorded(suite, policy, folder)
+        runs = read_recorded(suite, policy, folder)
         if stamps.get(_key(suite, policy), [])[:2] != _stamp(suite, policy, folder)[:2]:
-            return "the policy's files have changed since, or the rows have"
+            return "the policy's files or the rows have changed since the recording"
     except (OSError, ValueError) as error:
         return str(error)
-    return own
+    return runs
 
 
 def missing(suite: str, folder: Path = RECORDED_FOLDER) -> str | None:
-    """Return why no rows of a suite are here that the sources have; None where they are here, or nowhere."""
+    """Return a message if the recorded rows of a suite are only in the source repository, not in this package."""
     if checkout() is not None or suite not in RECORDED_SUITES or (folder / suite).is_dir():
         return None
     return left_out(f"the recorded rows of {suite} are")
 
 
 def recorded_policies(suite: Suite, folder: Path = RECORDED_FOLDER) -> list[str]:
-    """Return the names of the policies that rows are kept of, in the order of the registry."""
+    """Return the names of the policies with recorded rows, in the order of the registry."""
     order, source = list(list_policies()), suite.source[0]
     places = (folder, RECORD / folder.name) if folder == RECORDED_FOLDER else (folder,)
     names = {file.stem for place in places for file in (place / source).glob("*.npz")}
@@ -97,20 +98,18 @@ def recorded_policies(suite: Suite, folder: Path = RECORDED_FOLDER) -> list[str]
 
 
 def read_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> list[Run]:
-    """Return the runs that are kept of a policy, cell by cell, whatever it is made of now.
+    """Return the recorded runs of a policy, cell by cell, without a check of its fingerprint.
 
     Raises:
         OSError: there is no such file.
-        ValueError: it is damaged, of another suite or of another policy.
+        ValueError: the file is damaged, or belongs to another suite or policy.
     """
     source, source_hash = suite.source
     with reading(found(folder, f"{source}/{policy}.npz")) as stored:
         record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
         bounds = np.cumsum([0, *record["episodes"]]).tolist()
-        cells, when = (
-            suite.cells_in(record.get("speed_ranges", SPEED_RANGES)),
-            Recorded(record["date"], record["versions"]),
-        )
+        cells = suite.cells_in(record.get("speed_ranges", SPEED_RANGES))
+        when = Recorded(record["date"], record["versions"])
         runs = []
         for i, (cell, a, b) in enumerate(zip(cells, bounds[:-1], bounds[1:], strict=True)):
             *values, failed = rows[:, a:b]
@@ -118,18 +117,18 @@ def read_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> 
             run = Run(policy, cell.scenario, cell.hash, Measures(*measures), recorded=when)
             seconds, decision = float(record["seconds"][i]), float(record["decision_seconds"][i])
             runs.append(replace(run, seconds=seconds, decision_seconds=decision))
-        kept, text_hash = str(record["policy"]), str(record["suite_hash"])
+        owner, text_hash = str(record["policy"]), str(record["suite_hash"])
         if rows.shape != (len(fields(Measures)), bounds[-1]):
             raise ValueError(f"its rows have shape {rows.shape}")
-    if kept != policy:
-        raise ValueError(f"its file holds the rows of {kept}")
+    if owner != policy:
+        raise ValueError(f"its file has the rows of {owner}")
     if text_hash != source_hash:
-        raise ValueError(f"another {source}, of hash {text_hash[:12]}")
+        raise ValueError(f"its rows belong to another {source}, of hash {text_hash[:12]}")
     return runs
 
 
 def stored_measures(measures: Measures) -> NDArray[np.float32]:
-    """Return measures as files hold them, in single precision or with `DIGITS`, shape (measures, M)."""
+    """Return metrics as they are in files, in single precision or with `DIGITS`, shape (metrics, M)."""
     rows = []
     for field in fields(Measures):
         row = getattr(measures, field.name).astype(np.float64)
@@ -141,12 +140,12 @@ def stored_measures(measures: Measures) -> NDArray[np.float32]:
 
 
 def _key(suite: Suite, policy: str) -> str:
-    """Return the name of a file of rows among the stamps."""
+    """Return the key of a policy's rows in `STAMPS_FILE`."""
     return f"{suite.source[0]}/{policy}"
 
 
 def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
-    """Return the hash of a file of rows, and the fingerprints of the policy and the simulator as they are now."""
+    """Return the hash of a file of rows, and the current fingerprints of the policy and the simulator."""
     rows = found(folder, f"{_key(suite, policy)}.npz").read_bytes()
     return [hashlib.sha256(rows).hexdigest(), fingerprint(policy), simulator_fingerprint()]
 
@@ -160,13 +159,13 @@ def _stamps(folder: Path) -> dict[str, list[str]]:
 
 
 def stamp_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> None:
-    """Write down that the rows of a policy are what it does now."""
+    """Write the current hash and fingerprints of a policy's rows to `STAMPS_FILE`."""
     stamps = _stamps(folder) | {_key(suite, policy): _stamp(suite, policy, folder)}
     write_atomically(folder / STAMPS_FILE, json_text(dict(sorted(stamps.items()))))
 
 
 def speed_ranges_of(policy: str) -> tuple[str, ...]:
-    """Return the regimes that a policy is made for: an agent's are those of the scenarios that it was trained on."""
+    """Return the speed ranges of a policy; for an agent, those of the scenarios on which it was trained."""
     folder = agent_folder(bare_name(policy))
     own = {speed_range_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
     return tuple(speed_range for speed_range in SPEED_RANGES if speed_range in own) or SPEED_RANGES
@@ -179,7 +178,7 @@ def save_recorded(
     folder: Path = RECORDED_FOLDER,
     speed_ranges: Sequence[str] = SPEED_RANGES,
 ) -> None:
-    """Write the file of one policy's runs, one in each cell of a suite, or of some of its regimes.
+    """Write the file of a policy's runs: one for each cell of a suite, or for each cell of some speed ranges.
 
     Raises:
         ValueError: a run failed, or is missing.

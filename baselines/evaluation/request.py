@@ -1,4 +1,4 @@
-"""What to evaluate: a command line's words, checked and resolved before anything runs."""
+"""The request of an evaluation: checks the options and resolves their names before any episode runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
 from baselines.evaluation.about import NOTHING, checked_about, checked_name
-from baselines.evaluation.fingerprints import fingerprint, watched
+from baselines.evaluation.fingerprints import covered_files, fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import speed_ranges_of
 from baselines.evaluation.rollout import make_env
@@ -32,32 +32,32 @@ from baselines.tools.workers import Workers
 
 T = TypeVar("T")
 
-DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
-"""Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
-DEFAULT_SUITE = "benchmark-v2"  # what is evaluated if no scenario is named
-DEFAULT_EPISODES = 20  # of each scenario that is not frozen
-_MOST_EPISODES = 100_000  # of each scenario: they are drawn before anything runs
+DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
+"""The scenarios of each suite whose episodes are drawn from the seed; all other suites are frozen."""
+DEFAULT_SUITE = "benchmark-v2"  # the suite if no scenario is given
+DEFAULT_EPISODES = 20  # default number of episodes of each scenario that is not frozen
+_MOST_EPISODES = 100_000  # largest number of episodes of each scenario, which are all drawn ahead
 
 
 @dataclass(frozen=True)
 class Request:
-    """An evaluation that can run."""
+    """A checked evaluation."""
 
     options: Options
-    command: str  # as the user gave it
-    suite: str | None  # None: scenarios of the user's own choice
-    hash: str  # the same hash, the same task
+    command: str  # the command as typed by the user
+    suite: str | None  # None: scenarios chosen by the user
+    hash: str  # hash of all episodes
     cells: tuple[Cell, ...]
     policies: tuple[str, ...]  # the expert first
-    pairs: tuple[tuple[str, Cell], ...]  # what is to run, cell by cell
+    pairs: tuple[tuple[str, Cell], ...]  # policies and cells to run, cell by cell
     workers: Workers
     anchors: Anchors  # of the scores
     earlier: tuple[Run, ...] = ()  # recorded runs to compare with
-    notes: tuple[str, ...] = ()  # what to know about the results
+    notes: tuple[str, ...] = ()  # remarks on the results
 
     @classmethod
     def of(cls, options: Options, command: str = "") -> Request:
-        """Return the request of a command line's options; its folder exists and is writable then.
+        """Return the request for the options of a command line, and create its folder.
 
         Raises:
             UsageError: an option is wrong; the message says what is allowed.
@@ -75,9 +75,9 @@ class Request:
             names = tuple(dict.fromkeys((*names, *(p for p in anchors if all(run.policy != p for run in earlier)))))
         notes = [note for note in (recorded.missing(suite or ""), task.note) if note]
         if options.resume:
-            notes += [f"--resume watches {own}" for own in map(watched, names) if own]
+            notes += [f"--resume checks {files}" for files in map(covered_files, names) if files]
         notes += [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
-        skipped = [_foreign(name, task, notes) for name in names]
+        skipped = [_skipped(name, task, notes) for name in names]
         kept = zip(names, skipped, strict=True)
         without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}
         pairs = [(name, cell) for cell in task.cells for name in names if (name, cell.scenario.name) not in without]
@@ -88,18 +88,18 @@ class Request:
 
 
 class _Task(NamedTuple):
-    """Cells, the hash of them, and what is recorded of them."""
+    """The cells of an evaluation, their hash and their recorded rows."""
 
     cells: tuple[Cell, ...]
     hash: str
-    anchors: Anchors | None = None  # of the scores in a frozen suite; None where none is
+    anchors: Anchors | None = None  # of the scores in a frozen suite; None without a suite
     recorded: tuple[Run, ...] = ()
     refused: Mapping[str, str] = MappingProxyType({})
-    note: str = ""  # to know about what is recorded
+    note: str = ""  # a remark on the recorded rows
 
 
 def _check(options: Options) -> None:
-    """Raise UsageError if a number makes no sense, or two options exclude each other."""
+    """Raise UsageError if a number is out of range, or if two options exclude each other."""
     if options.suite is not None and options.scenario:
         raise UsageError("--suite and --scenario exclude each other; give one of them")
     for name, least, most in (("episodes", 1, _MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
@@ -112,7 +112,7 @@ def _check(options: Options) -> None:
 
 
 def _check_submission(options: Options, suite: str | None) -> None:
-    """Look whether a submission can come of an evaluation, before anything runs.
+    """Check before any episode runs that an evaluation can give a submission.
 
     Raises:
         UsageError: it cannot; the message says what to change.
@@ -135,19 +135,20 @@ def _check_submission(options: Options, suite: str | None) -> None:
         raise UsageError(f"--submit: {error}") from error
 
 
-def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
-    """Return the cells of a frozen suite that an agent does not run in, those of a regime that it was not trained for.
+def _skipped(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
+    """Return the cells of a frozen suite in which an agent does not run: those of other speed ranges than its training.
 
-    A note says so; in scenarios of the user's own choice it says that the agent runs in them all the same.
+    A note is added. In scenarios that the user has chosen the agent runs, and the note says that it was not trained
+    for them.
     """
     speed_ranges = speed_ranges_of(policy)
     others = [cell for cell in task.cells if speed_range_of(cell.scenario.name) not in (*speed_ranges, None)]
     if others and task.anchors is not None:
-        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion and runs in those cells alone")
+        notes.append(f"{policy} was trained for {' and '.join(speed_ranges)} scenarios and runs in those only")
         return others
     if others:
         names = ", ".join(cell.scenario.name for cell in others)
-        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion, and not for {names}")
+        notes.append(f"{policy} was trained for {' and '.join(speed_ranges)} scenarios, not for {names}")
     return []
 
 
@@ -170,9 +171,9 @@ def _frozen(name: str, options: Options) -> _Task:
 
 def _drawn(suite: str | None, options: Options) -> _Task:
     """Return scenarios whose episodes are drawn from the seed."""
-    if suite is not None and suite not in DRAWN:
-        raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN, *list_suites()))}")
-    scenarios = _distinct(checked_scenario(name) for name in options.scenario or DRAWN[suite or ""])
+    if suite is not None and suite not in DRAWN_SUITES:
+        raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN_SUITES, *list_suites()))}")
+    scenarios = _distinct(checked_scenario(name) for name in options.scenario or DRAWN_SUITES[suite or ""])
     count = DEFAULT_EPISODES if options.episodes is None else options.episodes
     record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": options.seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -181,10 +182,10 @@ def _drawn(suite: str | None, options: Options) -> _Task:
 
 
 def checked(make: Callable[[], T]) -> T:
-    """Return what `make` returns.
+    """Call a function, return its result, and turn OSError and ValueError into UsageError.
 
     Raises:
-        UsageError: it complains about the user's input, or a file cannot be read.
+        UsageError: the function raised ValueError, or a file cannot be read.
     """
     try:
         return make()
@@ -217,7 +218,11 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
 
 
 def _distinct(scenarios: Iterable[Scenario]) -> tuple[Scenario, ...]:
-    """Return the scenarios without repetitions."""
+    """Return the scenarios without repetitions.
+
+    Raises:
+        UsageError: two different scenarios have the same name.
+    """
     by_name: dict[str, Scenario] = {}
     for scenario in scenarios:
         if by_name.setdefault(scenario.name, scenario) != scenario:
@@ -226,28 +231,28 @@ def _distinct(scenarios: Iterable[Scenario]) -> tuple[Scenario, ...]:
 
 
 def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names without repetitions, once it is known that each of them makes a policy.
+    """Return the names of policies without repetitions, and check that each policy can be made.
 
     Raises:
-        UsageError: one does not.
+        UsageError: a policy cannot be made.
     """
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
-        checked(partial(make_policy, name, PAPER_VEHICLE))  # a factory may insist on a vehicle
+        checked(partial(make_policy, name, PAPER_VEHICLE))  # a factory may require a vehicle
         checked(partial(fingerprint, name))
     return tuple(dict.fromkeys(names))
 
 
 def checked_folder(folder: Path, option: str = "out") -> Path:
-    """Return a folder, made if need be, once it is known that it can be written to.
+    """Return a folder after creating it if it does not exist, and check that it is writable.
 
     Args:
         folder: the folder.
-        option: that named it, for the message.
+        option: name of its option, for the message.
 
     Raises:
-        UsageError: it cannot.
+        UsageError: it is not writable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

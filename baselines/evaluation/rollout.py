@@ -1,4 +1,4 @@
-"""The one loop that runs a policy through episodes, side by side in the vector environment."""
+"""The loop that runs a policy through parallel episodes in the vector environment."""
 
 from __future__ import annotations
 
@@ -26,63 +26,63 @@ from baselines.agents.programs import ProgramPolicy
 from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, steady_rmse
 from baselines.policy import Privileged
 
-EVALUATED_ENV = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
+EVALUATED_ENV = "auv_gym:UnderactuatedAUVTrack-v0"  # id of the environment of evaluations
 TRACED = 3
-"""How many episodes of a rollout, the first ones, are traced: drawn from above."""
-_PATIENCE = 10
-"""Control steps before a policy's speed is judged: the first ones may compile or load."""
+"""Number of episodes of a rollout whose trajectories are recorded: the first ones."""
+_WARM_UP_STEPS = 10
+"""Control steps before the time limit applies, since the first ones may compile or load code."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
-"""An environment at the beginning of its episodes, and what is observed there."""
+"""An environment at the beginning of its episodes, and its first observation."""
 
 
 class PolicyError(Exception):
-    """A policy gave no usable action, or not in time."""
+    """A policy gave no usable action, or took too long."""
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What N episodes of a scenario gave, K steps each."""
+    """The results of N episodes of a scenario, K steps each."""
 
     measures: Measures
-    errors: NDArray[np.float32]  # [m], shape (K, N); where an episode was lost it keeps its last error
+    errors: NDArray[np.float32]  # [m], shape (K, N); a failed episode keeps its last error
     tracks: tuple[Track, ...]  # of the first `TRACED` episodes
-    seconds: float  # wall time of all
+    seconds: float  # wall time of the rollout
     decision_seconds: float  # wall time of the policy for one vehicle and control step
-    slowest_decision: float  # [s] the largest mean time that was compared with the limit, see `Watch`
+    slowest_decision: float  # [s] largest mean time that was compared with the limit, see `Stopwatch`
 
 
 class Moment(NamedTuple):
-    """What one control step of N episodes gives."""
+    """One control step of N episodes."""
 
-    observation: Array  # what was acted on, shape (N, terms)
-    command: Array  # shape (N, 2), zero where an episode has ended
+    observation: Array  # before the step, shape (N, terms)
+    command: Array  # shape (N, 2), zero for episodes that have ended
     reward: Array  # shape (N,)
     error: Array  # [m] distance to the reference after the step, shape (N,)
-    running: NDArray[np.bool_]  # shape (N,), not ended before the step; what is said of the others means nothing
-    failed: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
+    running: NDArray[np.bool_]  # shape (N,), not ended before the step; the other entries of ended ones are meaningless
+    failed: NDArray[np.bool_]  # shape (N,), ended in this step, beyond `lost_distance`
     saturated: NDArray[np.bool_]  # shape (N,), an actuator was commanded to its limit
-    following: Array  # what is observed next, of the next episode one step after the end, shape (N, terms)
+    following: Array  # the next observation, shape (N, terms); one step after an end, that of the next episode
 
 
-class Watch:
-    """Adds up the wall time that a policy takes: what it sleeps, and what other processes do for it, counts too.
+class Stopwatch:
+    """Measures the wall time of a policy; waiting and the work of other processes count too.
 
     Attributes:
         slowest: the largest mean time of a decision [s] that was compared with the limit.
     """
 
     def __init__(self, limit: float = math.inf) -> None:
-        """Begin at nothing.
+        """Start at zero.
 
         Args:
-            limit: the largest time for a decision of one vehicle [s], on average after the first `_PATIENCE` steps.
+            limit: largest mean time of a decision for one vehicle [s], after the first `_WARM_UP_STEPS` steps.
         """
         self.limit, self.slowest, self._decisions, self._seconds = limit, 0.0, 0, 0.0
-        self._unjudged = 0, 0.0  # decisions, and their time, before the speed is judged
+        self._warm_up = 0, 0.0  # number of decisions, and their time, before the limit applies
 
     @property
     def decision_seconds(self) -> float:
-        """Time of a decision of one vehicle [s]."""
+        """Mean time of a decision for one vehicle [s]."""
         return self._seconds / self._decisions
 
     def __enter__(self) -> None:
@@ -92,39 +92,39 @@ class Watch:
         self._seconds += time.perf_counter() - self._since
 
     def count(self, n: int, k: int) -> None:
-        """Count the decisions of n vehicles at step k; raise PolicyError where they took too long."""
+        """Count the decisions for n vehicles at step k; raise PolicyError if they took too long."""
         self._decisions += n
-        if k < _PATIENCE:
-            self._unjudged = self._decisions, self._seconds
+        if k < _WARM_UP_STEPS:
+            self._warm_up = self._decisions, self._seconds
             return
-        mean = (self._seconds - self._unjudged[1]) / (self._decisions - self._unjudged[0])
+        mean = (self._seconds - self._warm_up[1]) / (self._decisions - self._warm_up[0])
         self.slowest = max(self.slowest, mean)
         if mean > self.limit:
             raise PolicyError(f"a decision takes {mean:.3g} s; allowed are {self.limit:g} s")
 
 
-def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -> Iterator[Moment]:
-    """Yield what a policy does, step by step, until all episodes have ended.
+def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[Moment]:
+    """Run a policy and yield each control step, until all episodes have ended.
 
     Args:
-        policy: what acts; it gets its own memory back, and `episode_start`, True at an episode's first step.
+        policy: it gets its memory back at each step, and `episode_start`, True at the first step of an episode.
         begun: the environment, whose next episodes begin one step after the end, and its first observation.
-        steps: most steps.
-        watch: what measures the policy's time.
+        steps: largest number of steps.
+        stopwatch: measures the policy's time.
 
     Raises:
         PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
     """
-    (env, observation), watch = begun, watch or Watch()
+    (env, observation), stopwatch = begun, stopwatch or Stopwatch()
     privileged = policy if isinstance(policy, Privileged) else None
     memory, first, running = None, np.ones(env.num_envs, dtype=bool), np.ones(env.num_envs, dtype=bool)
-    ended = ~running  # by the last step: the coming one begins the next episodes there
+    ended = ~running  # in the last step: the coming step begins the next episodes of these vehicles
     for k in range(steps):
-        with watch:
+        with stopwatch:
             if privileged:
                 privileged.observe(env)
             action, memory = policy.predict(observation, memory, first)
-        watch.count(env.num_envs, k)
+        stopwatch.count(env.num_envs, k)
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
         first, ended, failed = ended, terminated | truncated, running & terminated
@@ -141,15 +141,15 @@ def beginning(
     preview: tuple[int, ...],
     bodies: MadeBodies | None = None,
 ) -> Begun:
-    """Return the beginning of the episodes of some scenarios, all side by side.
+    """Return an environment with all episodes of some scenarios in parallel, and its first observation.
 
     Args:
-        cells: scenarios of the same number of substeps, with episodes of each.
-        preview: what is observed of the reference ahead, see `auv_gym.task.preview`.
-        bodies: makes the vehicles of another simulator, if it is to move them.
+        cells: scenarios with the same number of substeps, and the episodes of each.
+        preview: numbers of control periods ahead of the preview, see `auv_gym.task.preview`.
+        bodies: makes the vehicles of another simulator, if it replaces the plant.
     """
-    # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan,
-    # one step later, so that nothing is planned where all episodes end together.
+    # The environment begins a next episode one step after an end. It is not evaluated, so its path is a straight line,
+    # which needs no planning; if all episodes end together, it is never begun.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
     scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
     env = UnderactuatedAUVTrackVectorEnv(
@@ -162,15 +162,15 @@ def beginning(
 
 
 class Repeatable:
-    """Episodes side by side that policies run one after the other; they are planned once for each preview."""
+    """Parallel episodes for several policies, one after the other; they are planned once for each preview."""
 
     def __init__(self, begin: Callable[[tuple[int, ...]], Begun]) -> None:
-        """Take what makes their beginning with a preview."""
+        """Take the function that returns the environment and its first observation for a preview."""
         self._begin = cache(begin)
 
-    def play(self, policy: Policy, steps: int, watch: Watch | None = None) -> Iterator[Moment]:
-        """Yield what a policy does, see `play`."""
-        return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps, watch)
+    def play(self, policy: Policy, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[Moment]:
+        """Run a policy and yield each control step, see the function `play`."""
+        return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps, stopwatch)
 
 
 def rollout(
@@ -181,20 +181,20 @@ def rollout(
     on_step: Callable[[int], None] = lambda _: None,
     bodies: MadeBodies | None = None,
 ) -> Rollout:
-    """Return N episodes of a policy, side by side; each ends where the scenario ends it.
+    """Run a policy in N parallel episodes of a scenario and return the results.
 
     Args:
         policy: see `play`.
-        scenario: what the episodes are of.
-        episodes: what is to run.
-        step_limit: largest time for a decision of one vehicle [s], on average since the start.
-        on_step: called after each control step with their number so far.
-        bodies: makes the vehicles of another simulator, if it is to move them.
+        scenario: scenario of the episodes.
+        episodes: the episodes.
+        step_limit: largest mean time of a decision for one vehicle [s], see `Stopwatch`.
+        on_step: called after each control step with the number of steps so far.
+        bodies: makes the vehicles of another simulator, if it replaces the plant.
 
     Raises:
         PolicyError: see `play`.
     """
-    start, watch = time.perf_counter(), Watch(step_limit)
+    start, stopwatch = time.perf_counter(), Stopwatch(step_limit)
     if isinstance(policy, ProgramPolicy):
         policy.step_limit = step_limit
     if isinstance(policy, Privileged):
@@ -202,7 +202,7 @@ def rollout(
     env, observation = beginning([(scenario, episodes)], preview_of(policy), bodies=bodies)
     log = EpisodeLog(scenario.steps, len(episodes))
     log.rows.append(_row(env))
-    for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):
+    for k, moment in enumerate(play(policy, (env, observation), scenario.steps, stopwatch)):
         log.add(k, moment)
         if log.running[:TRACED].any() and k + 1 < scenario.steps:
             log.rows.append(_row(env))
@@ -212,22 +212,22 @@ def rollout(
         log.errors.astype(np.float32),
         log.tracks,
         time.perf_counter() - start,
-        watch.decision_seconds,
-        watch.slowest,
+        stopwatch.decision_seconds,
+        stopwatch.slowest,
     )
 
 
 class EpisodeLog:
-    """What K steps of N episodes give, each until its own end."""
+    """Log of K steps of N episodes, each until its own end."""
 
     def __init__(self, steps: int, n: int) -> None:
-        """Begin with nothing."""
+        """Make an empty log."""
         self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
         self.rows: list[Array] = []  # of the traced episodes, see `_row`
         self.running, self._failed, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
     def add(self, k: int, m: Moment) -> None:
-        """Take up step k; episodes that have ended keep their last error."""
+        """Add step k; episodes that have ended keep their last error."""
         self._actions[k], self._rewards[k] = np.clip(m.command, -1.0, 1.0), np.where(m.running, m.reward, 0.0)
         self.errors[k] = np.where(m.running, m.error, self.errors[k - 1])
         self._failed |= m.failed
@@ -244,7 +244,7 @@ class EpisodeLog:
         return tuple(Track(rows[:, 0:2], rows[:, 2:4], rows[:, 4:6], rows[:, 6:8]) for rows in own)
 
     def measures(self, scenario: Scenario) -> Measures:
-        """Return what is measured of the episodes."""
+        """Return the metrics of the episodes."""
         commands = [self._actions[:n, i] for i, n in enumerate(self._length.tolist())]
         return Measures(
             rmse=rmse(self.errors),
@@ -260,7 +260,11 @@ class EpisodeLog:
 
 
 def _checked(action: Any, running: NDArray[np.bool_], k: int) -> Array:
-    """Return the actions of step k, shape (N, 2), zero where an episode has ended."""
+    """Return the actions of step k as floats, shape (N, 2), zero for episodes that have ended.
+
+    Raises:
+        PolicyError: they have another shape or type, or are not finite.
+    """
     n = len(running)
     array = np.asarray(action)
     if array.dtype.kind not in "fiu" or array.shape != (n, 2):
@@ -279,12 +283,12 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
     """Return the scalar environment of a scenario.
 
     Raises:
-        ValueError: the scenario's path cannot be followed.
+        ValueError: the scenario's path is not feasible.
     """
     return gym.make(EVALUATED_ENV, scenario=scenario, disable_env_checker=True)
 
 
 def _row(env: UnderactuatedAUVTrackVectorEnv) -> Array:
-    """Return x, y, x_R, y_R [m], psi, psi_R [rad] and V_x, V_y [m/s] at this time, of the traced vehicles, (8, n)."""
+    """Return x, y, x_R, y_R [m], psi, psi_R [rad] and V_x, V_y [m/s] of the traced vehicles, shape (8, n)."""
     state, current, (x_R, y_R, psi_R, *_) = env.state.T, env.current.T, env.reference
     return np.stack((*state[:2], x_R, y_R, state[2], psi_R, *current))[:, :TRACED]

@@ -1,4 +1,4 @@
-"""Finished runs on disk, one file each, so that an interrupted evaluation can go on."""
+"""Stores finished runs on disk, one file each, so that an interrupted evaluation can be resumed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.store import Stored, reading, write
 
 _PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds", "slowest_decision", "simulator")
-"""Fields of a run that are kept as they are."""
-_TRACK = fields(Track)  # each an array of its own
+"""Fields of a run that are stored unchanged."""
+_TRACK = fields(Track)  # each is stored as an array
 
 
 @dataclass(frozen=True)
 class RowStore:
-    """A folder of finished runs, each in a file named by its key. Failed runs are not kept: they are tried again."""
+    """A folder of finished runs, each in a file named by its key. Failed runs are not stored, so they run again."""
 
     folder: Path
 
     def save(self, run: Run) -> None:
-        """Keep a run; no reader ever sees half of it."""
+        """Write a finished run atomically; do nothing for a failed one."""
         if run.measures is None or not run.tracks or run.bands is None:
             return
         record = {name: getattr(run, name) for name in _PLAIN}
@@ -36,7 +36,7 @@ class RowStore:
         write(self._file(run.key), Stored(record, {**arrays, "bands": run.bands}))
 
     def load(self, key: str) -> Run | None:
-        """Return the run of a key; None if there is none, its file is damaged, or it is the row of something else."""
+        """Return the run with a key; None if there is no such file, or if it is damaged or has another key."""
         try:
             with reading(self._file(key)) as stored:
                 record, arrays = stored.record, stored.arrays

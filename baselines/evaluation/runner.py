@@ -1,4 +1,4 @@
-"""Runs policies through cells of episodes: worker processes, the same numbers for any number of them."""
+"""Runs policies in cells of episodes, in worker processes; the results do not depend on the number of processes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from auv_gym import __version__
-from auv_gym.envs.lanes import plan_of, reference_tables
-from auv_gym.physics.vehicle import Vehicle
+from auv_gym.envs.sub_environments import plan_of, reference_tables
+from auv_gym.physics.vehicle import CrossFlow, Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
@@ -30,20 +30,20 @@ from baselines.policies import make_policy
 from baselines.tools.command_line import printable
 from baselines.tools.workers import Workers
 
-LANES = 512
-"""Most episodes side by side. Fixed, so that no number depends on the number of workers."""
+MOST_PARALLEL = 512
+"""Largest number of parallel episodes. It is fixed, so that results do not depend on the number of workers."""
 QUANTILES = (0.1, 0.5, 0.9)
-"""Of the position error over episodes, at each control step."""
+"""Quantiles of the position error over episodes, at each control step."""
 STEP_LIMIT = 0.1
-"""Default for the largest time of a decision [s]: a control period at cruise."""
+"""Default for the largest mean time of a decision [s]: the control period in cruise."""
 
 NOTE_INTERVAL = 0.5
-"""Seconds after which a task says again how far it is."""
+"""Seconds between two reports of a task's progress."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Some episodes of one scenario, the same for every policy."""
+    """Episodes of one scenario, the same for every policy."""
 
     scenario: Scenario
     episodes: tuple[Episode, ...]
@@ -56,20 +56,21 @@ class Cell:
 
 
 def _plain(part: Any) -> dict[str, Any]:
-    """Return fields of an episode or a part; what came later is left out where it is as before, so that hashes stay."""
+    """Return the fields of an episode or a part, without newer fields of default value, which keeps old hashes."""
     record = {f.name: getattr(part, f.name) for f in fields(part)}
     if isinstance(part, Episode) and part.reckoning is None:
         del record["reckoning"]
-    if isinstance(part, Vehicle) and part.speed == Vehicle.speed:
-        del record["speed"]
+    if isinstance(part, Vehicle):
+        later = "speed", *CrossFlow._fields
+        record = {name: x for name, x in record.items() if name not in later or x != getattr(Vehicle, name)}
     return record
 
 
 def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:
-    """Return a cell whose episode i is the one of an environment reset with `seed + i`, drawn anew where it must be.
+    """Return a cell of drawn episodes; episode i is that of an environment reset with `seed + i`.
 
     Raises:
-        ValueError: no path of the scenario can be followed.
+        ValueError: no path of the scenario is feasible.
     """
     given = plan_of(scenario)
     generators = (seeding.np_random(seed + i)[0] for i in range(episodes))
@@ -78,7 +79,7 @@ def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:
 
 @dataclass(frozen=True)
 class Recorded:
-    """When and with what the episodes of a run were run, if not now."""
+    """Date and versions of recorded episodes."""
 
     date: str  # ISO 8601
     versions: Mapping[str, str]
@@ -89,7 +90,7 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Run:
-    """The episodes of one policy in one cell; or the reason why there are none."""
+    """The results of one policy in one cell, or the reason why there are none."""
 
     policy: str
     scenario: Scenario
@@ -99,28 +100,28 @@ class Run:
     tracks: tuple[Track, ...] = ()  # of the first episodes
     seconds: float = math.nan  # wall time of all episodes, added up over workers
     decision_seconds: float = math.nan  # wall time of the policy for one vehicle and control step
-    slowest_decision: float = 0.0  # [s] the largest mean that was compared with the limit, see `rollout.Watch`
+    slowest_decision: float = 0.0  # [s] largest mean time that was compared with the limit, see `rollout.Stopwatch`
     error: str | None = None
     warnings: tuple[str, ...] = ()
     recorded: Recorded | None = None  # None: the episodes ran now
     fingerprint: str = ""  # of the policy's files, see `fingerprints.fingerprint`
-    simulator: str = ""  # hash of the code that simulated, see `fingerprints.simulator_fingerprint`
-    known: bool = False  # left by an evaluation that was interrupted
+    simulator: str = ""  # fingerprint of the simulator, see `fingerprints.simulator_fingerprint`
+    known: bool = False  # taken from an interrupted evaluation
 
     @property
     def key(self) -> str:
-        """What tells it from other runs: a hash of policy, its files, cell and version of the simulator."""
+        """The identifier of the run: a hash of policy, fingerprint, cell and version of the package."""
         return run_key(self.policy, self.fingerprint, self.cell_hash)
 
 
 def run_key(policy: str, digest: str, cell_hash: str) -> str:
-    """Return the key of the run, in a cell of that hash, of a policy whose files have that fingerprint."""
+    """Return the identifier of a run for a policy, its fingerprint and the hash of a cell."""
     return hashlib.sha256(f"{policy} {digest} {cell_hash} {__version__}".encode()).hexdigest()[:20]
 
 
 @dataclass(frozen=True)
 class TaskPart:
-    """What one task gives: a rollout, or the reason why there is none."""
+    """The result of one task: a rollout, or the reason why there is none."""
 
     rollout: Rollout | None
     error: str | None
@@ -129,22 +130,20 @@ class TaskPart:
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker does at a time: some episodes of one policy in one scenario.
+    """A task of a worker: some episodes of one policy in one scenario.
 
-    It makes the policy anew, so that no result depends on what the worker did before.
+    Each task makes its own policy, so that no result depends on the earlier tasks of the worker.
     """
 
     policy: str
     scenario: Scenario
     episodes: Sequence[Episode]
-    step_limit: float = STEP_LIMIT  # [s] largest time of a decision
-    note: Callable[[str, int], None] = lambda *_: (
-        None
-    )  # told the task's number and how many steps its vehicles have done
-    number: tuple[int, int] = (0, 0)  # of the run, and of the part of it
+    step_limit: float = STEP_LIMIT  # [s] largest mean time of a decision
+    note: Callable[[str, int], None] = lambda *_: None  # called with the task's name and its number of vehicle steps
+    number: tuple[int, int] = (0, 0)  # number of the run, and of the part of it
 
     def run(self) -> tuple[tuple[int, int], TaskPart]:
-        """Return the number and what comes out; an exception of the policy ends it and becomes the `error`."""
+        """Return number and result; an exception of the policy ends the task and becomes the `error`."""
         result, error = None, None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -153,25 +152,25 @@ class Task:
                 result = rollout(policy, self.scenario, self.episodes, self.step_limit, self._progress())
             except PolicyError as exception:
                 error = printable(str(exception))
-            except (Exception, SystemExit) as exception:  # noqa: BLE001, whatever it raises costs it its row, not the others theirs
+            except (Exception, SystemExit) as exception:  # noqa: BLE001, other policies must still run
                 error = printable(" ".join(f"{type(exception).__name__}: {exception}".split()))
-        self._tell(self.scenario.steps)
+        self._report(self.scenario.steps)
         messages = tuple(dict.fromkeys(printable(" ".join(str(warning.message).split())) for warning in caught))
         return self.number, TaskPart(result, error, messages)
 
     def _progress(self) -> Callable[[int], None]:
-        """Return what tells now and then how many control steps are done."""
+        """Return a function that reports the number of control steps, at most once per `NOTE_INTERVAL`."""
         last = time.monotonic()
 
         def on_step(k: int) -> None:
             nonlocal last
             if time.monotonic() - last > NOTE_INTERVAL:
-                self._tell(k)
+                self._report(k)
                 last = time.monotonic()
 
         return on_step
 
-    def _tell(self, k: int) -> None:
+    def _report(self, k: int) -> None:
         self.note("-".join(map(str, self.number)), len(self.episodes) * k)
 
 
@@ -182,15 +181,15 @@ def runs(
     note: Callable[[str, int], None] = lambda *_: None,
     known: Callable[[str], Run | None] = lambda _: None,
 ) -> Iterator[Run]:
-    """Yield the run of each policy in its cell when it is complete.
+    """Yield the run of each policy in its cell, in the order of completion.
 
     Args:
-        pairs: policies by name, see `baselines.make_policy`, and what they run in.
-        workers: where they run.
-        step_limit: largest time of a decision [s].
-        note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
-        known: returns the run of a key if it is there already. One of another simulator does not count, nor one that
-            took longer for a decision than the limit.
+        pairs: names of policies, see `baselines.make_policy`, each with a cell.
+        workers: number of parallel tasks.
+        step_limit: largest mean time of a decision [s].
+        note: called in the worker process with the name of a task and the number of control steps of all its vehicles.
+        known: returns the finished run of a key, or None. A run of another simulator is not used, nor one whose
+            decisions took longer than the limit.
     """
     prints, simulator = {policy: fingerprint(policy) for policy in dict(pairs)}, simulator_fingerprint()
     tasks: list[Task] = []
@@ -215,15 +214,15 @@ def runs(
 
 
 def run_all(policies: Sequence[str], cells: Sequence[Cell], *options: Any, **named: Any) -> list[Run]:
-    """Return a run of each policy in each cell, cell by cell; the options are those of `runs`."""
+    """Return the run of each policy in each cell, cell by cell; the options are those of `runs`."""
     pairs = [(policy, cell) for cell in cells for policy in policies]
     order = [(policy, cell.scenario.name) for policy, cell in pairs]
     return sorted(runs(pairs, *options, **named), key=lambda run: order.index((run.policy, run.scenario.name)))
 
 
 def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
-    """Return the episodes in even parts of at most `LANES`."""
-    bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / LANES) + 1).astype(int).tolist()
+    """Return the episodes in equal parts of at most `MOST_PARALLEL`."""
+    bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / MOST_PARALLEL) + 1).astype(int).tolist()
     return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
 
 

@@ -1,10 +1,11 @@
-"""The score: 0 is the expert, 1 the best that is possible; paired episodes, errors pooled over cases.
+"""The score of a policy: 0 is the expert, 1 the optimum; computed in paired episodes, with errors pooled over cases.
 
-    score of p = (E_zero - E_p) / (E_zero - E_one),     E: mean over episodes of the tail RMSE
+    score of p = (E_zero - E_p) / (E_zero - E_one),     E: mean over episodes of the steady-state RMSE
 
-Whose errors E_zero and E_one are, the anchors say: a suite has its own.
+E_zero and E_one are the errors of the two anchors, which each suite defines.
 
-Errors are pooled before the division: a ratio of every case would be dominated by those where little can be gained.
+Errors are pooled before the division. A mean of the ratios of all cases would be dominated by cases in which the
+anchors are close together.
 """
 
 from __future__ import annotations
@@ -23,145 +24,146 @@ from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
-EXPERT = "backstepping"  # the policy that scores 0
-ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
-OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum; it scores 1 in the others
+EXPERT = "backstepping"  # the policy with score 0
+ORACLE = "oracle"  # a regulator with known plant and disturbances; it has score 1 in the oldest suites
+OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum; it has score 1 in the other suites
 FORESIGHTED = (ORACLE, OPTIMUM_POLICY)
-"""Policies that know what no competitor may know."""
-RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
-ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
-DEEP = "deep"  # where positions are reckoned: scenarios called REGIME-deep or REGIME-deep-CASE
+"""Reference policies with information that entries may not use."""
+RIVAL = "nmpc"  # the best policy without learning, with sensors and actuators without faults
+ADVERSE_RIVAL = "nmpc-adverse"  # the best policy without learning, with sensor and actuator faults
+DEEP = "deep"  # part of the names SPEED_RANGE-deep and SPEED_RANGE-deep-CASE of scenarios with dead reckoning
 ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
-"""Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it.
+"""Error caps [m] by speed range: the steady-state RMSE from which an episode counts as failed, and beyond which the
+capped score does not fall.
 
-That is for the paper's vehicle; for another one it is as many times as long as the vehicle is, see `cap_of`."""
-VEHICLE_MARK = "@"  # stands between preset and vehicle in the name of a scenario that was made for another vehicle
+They are for the paper's vehicle; for another vehicle they are multiplied by the ratio of the lengths, see `cap_of`."""
+VEHICLE_MARK = "@"  # separates preset and vehicle in the name of a scenario for another vehicle
 
 
 class Anchors(NamedTuple):
-    """The policies that a score lies between."""
+    """The two reference policies of a score."""
 
-    zero: str  # scores 0
-    one: str  # scores 1
+    zero: str  # the policy with score 0
+    one: str  # the policy with score 1
 
     @classmethod
     def among(cls, policies: Collection[str]) -> Anchors:
-        """Return the anchors where no suite says them: 1 is the bound if it ran, else the oracle."""
+        """Return the anchors without a suite: `BY_ORACLE` if the oracle ran without the optimum, else `BY_BOUND`."""
         return BY_BOUND if OPTIMUM_POLICY in policies or ORACLE not in policies else BY_ORACLE
 
 
 BY_BOUND = Anchors(EXPERT, OPTIMUM_POLICY)
-"""Anchors of benchmark-v2, and of scenarios of one's own where the bound runs."""
+"""Anchors of benchmark-v2, and of evaluations without a suite."""
 BY_ORACLE = Anchors(EXPERT, ORACLE)
-"""Anchors of the suites that were frozen before there was a bound."""
-SCALE = "0 the expert, 1 the bound, in older suites the oracle"  # what the ends of a score are, in words
+"""Anchors of the older suites."""
+SCALE = "0 the expert, 1 the optimum, in older suites the oracle"  # the meaning of 0 and 1, as text
 
 
 @dataclass(frozen=True)
 class Score:
-    """A score with its 95 % interval; nan where the policy that scores 0 is no worse than the one that scores 1."""
+    """A score with its 95 % interval; nan if the anchor of 0 is not worse than the anchor of 1."""
 
     mean: float
     ci95: tuple[float, float]
 
 
 def score_text(value: Score | None, digits: int = 3) -> str:
-    """Return a score as text, - if there is none."""
+    """Return a score as text, "-" if there is none."""
     return fixed(value.mean, digits) if value and math.isfinite(value.mean) else "-"
 
 
 def interval_text(value: Score | None, digits: int = 3) -> str:
-    """Return the interval of a score as text, - if there is none."""
+    """Return the interval of a score as text, "-" if there is none."""
     return fixed_ends(value.ci95, digits) if value and math.isfinite(value.ci95[0]) else "-"
 
 
 def fixed(value: float, digits: int = 3) -> str:
-    """Return a number with that many decimal places, none of a large one; there is no minus before a zero."""
+    """Return a number with some decimal places, without any from 100 on, and without a minus before zero."""
     digits = digits if abs(value) < 100 else 0
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def fixed_ends(interval: Sequence[float], digits: int = 3) -> str:
-    """Return an interval with that many decimal places."""
+    """Return an interval with some decimal places."""
     return " ... ".join(fixed(end, digits) for end in interval)
 
 
 def paired(*measures: Measures) -> list[Measures]:
-    """Return the measures of the episodes that all policies have run: the first ones, where one has run fewer."""
+    """Return the metrics of the episodes that all policies have run: the first ones, if a policy has run fewer."""
     shortest = min(map(len, measures))
     return [m if len(m) == shortest else m[:shortest] for m in measures]
 
 
 def speed_range_of(scenario: str) -> str | None:
-    """Return the regime that a scenario's name begins with, if any."""
+    """Return the speed range at the beginning of a scenario's name, None if there is none."""
     return next((speed_range for speed_range in SPEED_RANGES if scenario.startswith(f"{speed_range}-")), None)
 
 
 def cap_key(scenario: str) -> str | None:
-    """Return what of `ERROR_CAPS` a scenario belongs to: its regime, or `DEEP` in both."""
+    """Return the key of a scenario in `ERROR_CAPS`: its speed range, or `DEEP` in both speed ranges."""
     speed_range = speed_range_of(scenario)
     return DEEP if speed_range and f"{scenario}-".startswith(f"{speed_range}-{DEEP}-") else speed_range
 
 
 def vehicle_of(scenario: str) -> str:
-    """Return the name of the vehicle that a scenario was made for, "" for those of the paper's."""
+    """Return the vehicle in the name of a scenario, "" for the paper's vehicle."""
     return scenario.partition(VEHICLE_MARK)[2]
 
 
 def unit_of(scenario: Scenario) -> float:
-    """Return how many metres of a scenario's vehicle are one of the paper's: its length over that vehicle's."""
+    """Return the length of a scenario's vehicle divided by that of the paper's vehicle."""
     return Units.of(scenario.vehicle).length
 
 
 def in_paper_metres(m: Measures, scenario: Scenario) -> Measures:
-    """Return what was measured in a scenario with its distances in metres of the paper's vehicle, see `unit_of`.
+    """Return metrics of a scenario with distances scaled to the length of the paper's vehicle, see `unit_of`.
 
-    So measured, the errors of a ship and of a torpedo can be added up, and have the same cap.
+    Scaled errors of vehicles of different size can be added, and have the same error cap.
     """
     unit = unit_of(scenario)
     return m if unit == 1 else replace(m, rmse=m.rmse / unit, steady_rmse=m.steady_rmse / unit)
 
 
 def cap_of(scenario: Scenario) -> float:
-    """Return the tail RMSE [m] from which an episode of a scenario is lost, infinite where it belongs to no regime."""
+    """Return the error cap [m] of a scenario, infinite if it has no speed range."""
     return unit_of(scenario) * error_cap(scenario.name)
 
 
 def error_cap(scenario: str) -> float:
-    """Return the same in metres of the paper's vehicle, by the scenario's name; see `in_paper_metres`."""
+    """Return the error cap in metres of the paper's vehicle, by the name of a scenario; see `in_paper_metres`."""
     key = cap_key(scenario)
     return ERROR_CAPS[key] if key else math.inf
 
 
 def has_failed(ended: Measures | Ended, cap: float) -> NDArray[np.bool_]:
-    """Return which episodes are lost, the one rule of it: those that ended so, and those whose tail reaches the cap.
+    """Return the mask of failed episodes: ended beyond `lost_distance`, or with a steady-state RMSE from the cap on.
 
     Args:
-        ended: how they ended.
-        cap: tail RMSE [m] from which they count as lost, see `cap_of`.
+        ended: outcome of the episodes.
+        cap: error cap [m], see `cap_of`.
     """
     return ended.failed | ~(ended.steady_rmse < cap)
 
 
 def count_failures(ended: Measures | Ended, cap: float) -> int:
-    """Return how many episodes are lost, see `has_failed`."""
+    """Return the number of failed episodes, see `has_failed`."""
     return int(has_failed(ended, cap).sum())
 
 
 def capped(ended: Measures | Ended, cap: float) -> Array:
-    """Return the tail RMSE [m] with the cap in place of those of episodes that are lost; without a cap as it is."""
+    """Return the steady-state RMSE [m] with the cap for failed episodes; unchanged if the cap is infinite."""
     return np.where(has_failed(ended, cap), cap, ended.steady_rmse) if math.isfinite(cap) else ended.steady_rmse
 
 
 def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
-    """Return own errors over a rival's: the geometric mean over cells of the ratio of mean tail errors in a cell.
+    """Return the geometric mean over cells of the ratio of own to a rival's mean steady-state error.
 
-    It has no unit, every cell counts alike, and what is in the denominator does not matter to the order. The interval
-    is that of a bootstrap over episodes within each cell, the same ones for both.
+    All cells have the same weight, and the choice of the rival does not change the order of policies. The interval is
+    a bootstrap over episodes within each cell, paired between both.
 
     Args:
-        rival: tail errors of paired episodes, shape (M,) for each cell, in any unit that a cell has for both.
-        own: the same, or of agents that differ in the training seed alone, shape (S, M): the interval is over both.
+        rival: steady-state errors of paired episodes, shape (M,) for each cell; a cell may have its own unit.
+        own: the same, or errors of agents from S training seeds, shape (S, M); the interval is then over both.
     """
     seeds = [np.atleast_2d(mine) for mine in own]
     logs, shares = np.zeros(RESAMPLES + 1), seed_shares(len(seeds[0]))
@@ -173,10 +175,24 @@ def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
     return Score(float(values[0]), (low, high))
 
 
-def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) -> Score:
-    """Return the score from tail errors [m] of paired episodes, an array for each case.
+def difference(rival: Sequence[Array], own: Sequence[Array]) -> Score:
+    """Return the mean of own minus a rival's steady-state errors [m] in paired episodes, an array for each case.
 
-    The interval is that of a bootstrap over episodes, the same ones for all three policies, within each case.
+    The interval is a bootstrap over episodes within each case, paired between both; nan for a single episode.
+    """
+    lengths = tuple(map(len, rival))
+    sums = sum(w @ (mine - theirs) for w, theirs, mine in zip(resamplings(lengths), rival, own, strict=True))
+    values = np.asarray(sums) / sum(lengths)
+    if sum(lengths) < 2:
+        return Score(float(values[0]), (math.nan, math.nan))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return Score(float(values[0]), (low, high))
+
+
+def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) -> Score:
+    """Return the score from steady-state errors [m] of paired episodes, an array for each case.
+
+    The interval is a bootstrap over episodes within each case, paired between the three policies.
     """
     sums = np.zeros((RESAMPLES + 1, 3))
     for weights, errors in zip(resamplings(tuple(map(len, zero))), zip(zero, policy, one, strict=True), strict=True):
@@ -192,24 +208,24 @@ def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) 
 
 
 def seeds_score(zero: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
-    """Return the score of agents that differ in the training seed alone; the interval is over seeds and episodes.
+    """Return the mean score of agents from several training seeds; the interval is over seeds and episodes.
 
     Args:
-        zero: tail errors [m] of paired episodes, shape (M,) for each case.
-        seeds: those of the agents, shape (S, M) for each case.
-        one: as `zero`.
+        zero: steady-state errors [m] of the anchor of 0 in paired episodes, shape (M,) for each case.
+        seeds: errors of the agents from S seeds, shape (S, M) for each case.
+        one: errors of the anchor of 1, as `zero`.
     """
     return lead(zero, zero, seeds, one)
 
 
 def lead(zero: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
-    """Return by how much agents' score is above a rival's, with its interval over training seeds and episodes.
+    """Return the agents' mean score minus a rival's score, with the interval over training seeds and episodes.
 
     Args:
         zero: see `seeds_score`.
-        rival: as `zero`.
+        rival: errors of the rival, as `zero`.
         seeds: see `seeds_score`.
-        one: as `zero`.
+        one: see `seeds_score`.
     """
     count, weights = len(seeds[0]), resamplings(tuple(map(len, zero)))
     above, span = np.zeros((RESAMPLES + 1, count)), np.zeros(RESAMPLES + 1)

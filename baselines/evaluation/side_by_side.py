@@ -1,4 +1,4 @@
-"""Episodes of several scenarios side by side in one environment, run again and again by one policy after the other."""
+"""Runs policies one after the other in the same parallel episodes of several scenarios."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from baselines.evaluation.runner import Cell
 
 
 class SideBySide:
-    """The episodes of some cells, all at once; a policy's numbers are those of `rollout` cell by cell.
+    """All episodes of some cells in parallel; the results are those of `rollout` for each cell.
 
     Args:
-        cells: episodes of scenarios with the same number of substeps.
+        cells: cells whose scenarios have the same number of substeps.
     """
 
     def __init__(self, cells: Sequence[Cell]) -> None:
@@ -27,14 +27,14 @@ class SideBySide:
         self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
 
     def run(self, policy: Policy, watch: Callable[[int, Moment], None] = lambda *_: None) -> list[Ended]:
-        """Return how the episodes of each cell end, arrays of shape (M,).
+        """Run a policy and return the outcome of the episodes of each cell, arrays of shape (M,).
 
         Args:
-            policy: what acts; none that looks behind the observation.
-            watch: told of each control step, its number and what it gives.
+            policy: a policy that is not `Privileged`.
+            watch: called after each control step with its number and its results.
 
         Raises:
-            PolicyError: its actions are not finite.
+            PolicyError: the actions are not finite.
         """
         errors, failed = np.zeros((self.steps, len(self.of))), np.zeros(len(self.of), dtype=bool)
         for k, moment in enumerate(self._episodes.play(policy, self.steps)):

@@ -1,4 +1,4 @@
-"""What is measured, on disk: a record of plain JSON and arrays in one .npz file, whole or absent, checked when read."""
+"""Files of results: a JSON record and arrays in one .npz file, written atomically and checked when read."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from auv_gym.scenarios.records import guarded
 from baselines.tools.files import LARGEST_FILE, checked_plain, read_bytes, write_atomically
 
-_LARGEST_CONTENT = 2**27  # [bytes] that a file unpacks to
-_PIECE = 2**12  # [bytes] that are unpacked at once: LZMA says how large they become only afterwards
+_LARGEST_CONTENT = 2**27  # [bytes] largest uncompressed size of a file
+_PIECE = 2**12  # [bytes] that are unpacked at once, since LZMA gives their size only afterwards
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA)
 _RECORD = "record"
-"""Name of the array that holds the JSON text."""
+"""Name of the array with the JSON text."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class Stored:
 
 
 def write(file: Path, stored: Stored) -> None:
-    """Write a file; no reader ever sees half of it.
+    """Write a file atomically.
 
     Raises:
         OSError: it cannot be written.
     """
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {**stored.arrays, _RECORD: np.array(json.dumps(stored.record))}
-    # As `numpy.savez_compressed`, whose deflate makes files larger by a fifth; `numpy.load` reads both.
+    # The same as `numpy.savez_compressed`, but with LZMA, which saves a fifth; `numpy.load` reads both.
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
             content = io.BytesIO()
@@ -52,16 +52,16 @@ def write(file: Path, stored: Stored) -> None:
 
 @contextmanager
 def reading(file: Path, largest: int = LARGEST_FILE, content: int | None = None) -> Iterator[Stored]:
-    """Give the content of a file; whatever goes wrong while it is taken apart is the file's fault.
+    """Read a file for a `with` block; an exception in the block means that the file is damaged.
 
     Args:
-        file: what is read.
-        largest: most bytes of it.
-        content: most bytes that it unpacks to; None: `_LARGEST_CONTENT`.
+        file: the file.
+        largest: largest size of the file [bytes].
+        content: largest uncompressed size [bytes]; None: `_LARGEST_CONTENT`.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is too large, damaged, or holds something else than is looked for.
+        ValueError: it is too large or damaged, or the block raised an exception.
     """
     with guarded(f"{file} is damaged"):
         yield _read(file, largest, _LARGEST_CONTENT if content is None else content)

@@ -1,1 +1,1 @@
-"""Trained agents for programs without this package: ONNX models and C headers, printed from the same equations."""
+"""Export of trained agents as ONNX models and C headers, generated from the equations of the agents."""

@@ -1,4 +1,4 @@
-"""An agent as one C99 header without dependencies: graphs as statements, the network as loops, weights as tables."""
+"""Generates an agent as one C99 header: graphs become statements, the network loops, and the weights tables."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from baselines.export.parts import (
 )
 
 PREFIX = "auv_agent"
-"""What the names of a header begin with, unless another prefix is asked for."""
-_WIDTH = 120  # of a line
+"""Default prefix of the names in a header."""
+_WIDTH = 120  # [characters] of a line
 
 _USE = """
-In one C file of a program:
+In one C file of the program, write both of these lines, and in the other files that call it only the second line:
 
     #define {CAPITALS}_IMPLEMENTATION
     #include "{file}"
 
-and in every other one that calls it only the second line. At the start of an episode {prefix}_start, then in each
-control period {prefix}_steer with what was measured, or {prefix}_step with an observation that is encoded already.
-Nothing is allocated, and of the C library only sqrt, floor and fabs are called.
+Call {prefix}_start at the start of an episode. In each control period call {prefix}_steer with the measurements, or
+{prefix}_step with an encoded observation. The code does not allocate memory. It calls sqrt, floor and fabs of the C
+library only.
 
-Both return {CAPITALS}_OK, or {CAPITALS}_REPEATED where no command can be computed: a number that is given is
-beyond {largest} or not finite, or one that is computed. Then the last command is repeated, zero at an episode's start,
-and the memory stays as it is. The next good measurement is answered as if the bad one had not been.
-It is C99, and C++. Do not compile it with -ffast-math or -ffinite-math-only, which remove these checks.
+Both functions return {CAPITALS}_OK. They return {CAPITALS}_REPEATED if no command can be computed because an
+input or a result is not finite or larger than {largest} in magnitude. In that case the last command is repeated (zero
+at the start of an episode) and the memory does not change, so the bad input has no effect on later commands.
+The code is valid C99 and C++. Do not compile it with -ffast-math or -ffinite-math-only, which remove these checks.
 """
 
 _DECLARED = """\
@@ -52,32 +52,32 @@ extern "C" {{
 
 typedef {real} {prefix}_real;
 
-enum {{ {CAPITALS}_OBSERVATION = {size} }}; /* numbers of an observation */
-enum {{ {CAPITALS}_OK = 0, {CAPITALS}_REPEATED = 1 }}; /* whether a command is a new one, or the last one again */
+enum {{ {CAPITALS}_OBSERVATION = {size} }}; /* size of an observation */
+enum {{ {CAPITALS}_OK = 0, {CAPITALS}_REPEATED = 1 }}; /* a new command, or the last command repeated */
 
-/* What the agent remembers. */
+/* The memory of the agent. */
 typedef struct {{
 {memory}
     {prefix}_real command[2]; /* the last one */
 }} {prefix}_memory;
 
-/* What is known in a control period, in SI units. */
+/* Measurements, reference and settings of a control period, in SI units. */
 typedef struct {{
     {prefix}_real measured[6]; /* {measured}; u, v over ground, in body axes */
     {prefix}_real reference[8]; /* {reference} */
     {prefix}_real setting[3]; /* {setting} */
 {ahead}}} {prefix}_view;
 
-/* Forget everything: an episode begins. */
+/* Reset the memory at the start of an episode. */
 void {prefix}_start({prefix}_memory *memory);
 
-/* Write the observation of a view; the memory says what was commanded last. */
+/* Write the observation of a view; it contains the last command, which is in the memory. */
 void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *observation);
 
-/* Write the command for an observation: surge and yaw, -1 to 1. Returns whether it is a new one. */
+/* Write the command for an observation: surge and yaw, -1 to 1. Returns {CAPITALS}_OK or {CAPITALS}_REPEATED. */
 int {prefix}_step({prefix}_memory *memory, const {prefix}_real *observation, {prefix}_real *command);
 
-/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. Returns whether it is a new one. */
+/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. Returns as {prefix}_step. */
 int {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *command);
 
 #ifdef __cplusplus
@@ -154,10 +154,10 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
     """Return the text of an agent's header.
 
     Args:
-        agent: what is printed.
-        precision: of all numbers, "float32" or "float64".
-        weights: how the network's matrices are stored, "float32" or "int8".
-        prefix: what every name in it begins with.
+        agent: the agent.
+        precision: type of all numbers, "float32" or "float64".
+        weights: type of the network's matrices, "float32" or "int8".
+        prefix: prefix of every name in the header.
     """
     names = {
         "prefix": prefix,
@@ -180,27 +180,27 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
 
 
 def _ahead(agent: Exported, prefix: str) -> str:
-    """Return the line of a view that holds the preview, if there is one."""
+    """Return the declaration of a view's field for the preview; empty without a preview."""
     if not agent.preview:
         return ""
     periods = ", ".join(map(str, agent.preview))
-    what = f"way of the reference in the world in the coming {periods} control periods, x, y each [m]"
-    return f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {what} */\n"
+    meaning = f"displacement x, y [m] of the reference, in world axes, after {periods} control periods"
+    return f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {meaning} */\n"
 
 
 def _comment(agent: Exported, names: Mapping[str, str]) -> str:
-    """Return the comment that the header begins with."""
+    """Return the comment at the beginning of the header."""
     facts = [
         line
         for key, text in agent.facts.items()
         for line in textwrap.wrap(f"{key}: {text}", _WIDTH, subsequent_indent="  ")
     ]
-    title = "An agent of auv_gym with its expert inside, printed by its command for export."
+    title = "An agent of auv_gym with its expert, written by auv-gym export."
     return "\n".join(("/*", title, "", _USE.format(**names).strip(), "", *facts, "*/"))
 
 
 def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> str:
-    """Return the weights and the functions that are printed from graph and program."""
+    """Return the tables of the weights, and the functions generated from graphs and network."""
     dialect, kernel = c_dialect(precision), measurement_kernel(agent.preview, agent.span)
     tables: list[str] = []
     scales: dict[str, str] = {}
@@ -227,7 +227,7 @@ def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> st
 
 
 def _table(kind: str, name: str, array: Any) -> str:
-    """Return the declaration of a constant array, row by row; its numbers are read back exactly."""
+    """Return the declaration of a constant array, row by row, with enough digits to restore each number exactly."""
     entries = [f"{x}" if kind == "signed char" else _single(x) for x in np.ravel(array).tolist()]
     return f"static const {kind} {name}[{len(entries)}] = {{\n{textwrap.fill(', '.join(entries), _WIDTH)}\n}};\n"
 
@@ -238,7 +238,7 @@ def _single(x: float) -> str:
 
 
 def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
-    """Return what the written part of the header needs to call the printed functions."""
+    """Return the arguments and sizes with which the template `_DEFINED` calls the generated functions."""
     given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
     given |= {"correction": "memory->correction", "integrals": "next.integrals"}
     see = parameters(agent.see.arguments, agent.seen)
@@ -263,6 +263,6 @@ def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
 
 
 def _all_usable(where: str, sizes: Mapping[str, int], prefix: str, indent: int) -> str:
-    """Return the condition that all numbers of these arrays are usable."""
+    """Return the C expression that is true if all numbers of these arrays are usable."""
     checks = (f"{prefix}_usable({where}{name}, {n})" for name, n in sizes.items())
     return f"\n{' ' * indent}    && ".join(checks)

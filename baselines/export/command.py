@@ -1,4 +1,4 @@
-"""Write trained agents for other programs: `auv-gym export --help`."""
+"""Export trained agents as C headers and ONNX models: `auv-gym export --help`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROGRAM = "auv-gym export"
 
 @dataclass(frozen=True)
 class Options:
-    """Write an agent, its expert inside, as a C99 header and as an ONNX model.
+    """Write an agent, together with its expert, as a C99 header and as an ONNX model.
 
     Exit status: 0 done, 2 wrong usage.
 
@@ -29,27 +29,27 @@ class Options:
     """
 
     agent: Annotated[Positional[str], arg(metavar="AGENT")]
-    """An agent's name or folder."""
+    """Name or folder of an agent."""
     vehicle: Annotated[str, arg(metavar="V")] = "paper"
-    """The vehicle that it is to steer, a published one by name or a .toml file: the files then take observations of
-    that one, and an agent that is told the vehicle has it inside."""
+    """The vehicle: name of a published one, or a .toml file. The exported agent takes observations of this vehicle. If
+    the agent needs the vehicle's parameters, they are in the files."""
     out: Path = Path("runs/export")
     """Folder of the files AGENT.h and AGENT.onnx."""
     format: Annotated[Literal["all", "c", "onnx"], arg(metavar="{all,c,onnx}")] = "all"
-    """What is written."""
+    """Format of the files."""
     precision: Annotated[Literal["float32", "float64"], arg(metavar="{float32,float64}")] = "float32"
-    """Of all numbers."""
+    """Type of all numbers."""
     weights: Annotated[Literal["float32", "int8"], arg(metavar="{float32,int8}")] = "float32"
-    """How the header stores the network's matrices; int8 takes a fourth of the memory and costs accuracy."""
+    """Type of the network's matrices in the header; int8 needs a quarter of the memory and is less accurate."""
     prefix: str = PREFIX
-    """What the header's names begin with; it must differ for two agents in one program."""
+    """Prefix of the header's names; two agents in one program need different prefixes."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write what the arguments say and return the exit status.
+    """Write the files and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense, or a library is missing.
+        UsageError: the arguments are wrong, or a library is missing.
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)
@@ -59,28 +59,29 @@ def main(arguments: Sequence[str]) -> int:
         agent = exported(options.agent, options.vehicle)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    files = {
-        f".{kind}": _made(agent, kind, options) for kind in ("h", "onnx") if options.format in ("all", _OPTION[kind])
-    }
+    files: dict[str, bytes] = {}
+    if options.format in ("all", "c"):
+        files[".h"] = c_header(agent, options.precision, options.weights, options.prefix).encode()
+    if options.format in ("all", "onnx"):
+        files[".onnx"] = _onnx(agent, options.precision)
     options.out.mkdir(parents=True, exist_ok=True)
-    for ending, content in files.items():
-        file = options.out / f"{agent.name}{ending}"
+    for suffix, content in files.items():
+        file = options.out / f"{agent.name}{suffix}"
         write_atomically(file, content)
         print(f"written: {file} ({len(content):,} bytes)")
     return DONE
 
 
-_OPTION = {"h": "c", "onnx": "onnx"}
+def _onnx(agent: Exported, precision: str) -> bytes:
+    """Return the content of the ONNX file.
 
-
-def _made(agent: Exported, kind: str, options: Options) -> bytes:
-    """Return the content of a file."""
-    if kind == "h":
-        return c_header(agent, options.precision, options.weights, options.prefix).encode()
+    Raises:
+        UsageError: onnx is not installed.
+    """
     try:
         from baselines.export.onnx_model import onnx_model
 
-        model: bytes = onnx_model(agent, options.precision).SerializeToString()
+        model: bytes = onnx_model(agent, precision).SerializeToString()
     except ImportError:
         raise UsageError(f"ONNX needs its library: {install('export')}, or choose --format c") from None
     return model

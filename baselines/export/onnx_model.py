@@ -1,4 +1,4 @@
-"""An agent as an ONNX model: each node of its graphs an operator on a column of the batch, its network on matrices."""
+"""Generates an agent as an ONNX model: operators on columns for its graphs, and on matrices for its network."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from baselines.export.parts import Exported
 from baselines.policy import A_U
 
 OPSET = 17
-"""Version of the operators: what runtimes of the last years read."""
+"""Version of the operator set; runtimes of the last years support it."""
 IR_VERSION = 9
-"""Version of the file's layout that goes with them."""
+"""Version of the file format for this operator set."""
 OPERATORS = {
     "add": "Add",
     "sub": "Sub",
@@ -37,7 +37,7 @@ OPERATORS = {
     "or": "Or",
     "not": "Not",
 }
-"""Operators by the graph's operations; those that `elementary` writes out do not occur."""
+"""ONNX operators by operation of a graph; `lowered` removes all other operations."""
 VECTOR_OPERATORS = {
     "add": "Add",
     "subtract": "Sub",
@@ -46,7 +46,7 @@ VECTOR_OPERATORS = {
     "clip": "Clip",
     "tanh": "Tanh",
 }
-"""Operators by the operations of `vectors`."""
+"""ONNX operators by operation of a `Program`."""
 
 
 class _Writer:
@@ -68,22 +68,22 @@ class _Writer:
         self.nodes.append(helper.make_node(operator, list(inputs), list(outputs), **attributes))
 
     def constant(self, name: str, value: Any, kind: Any = None) -> str:
-        """Return the name of a constant, which is added."""
+        """Add a constant and return its name."""
         from onnx import numpy_helper
 
         self.constants.setdefault(name, numpy_helper.from_array(np.array(value, kind or self.precision), name))
         return name
 
     def number(self, value: float | bool) -> str:
-        """Return the name of a constant number or truth value."""
+        """Add a constant number or truth value and return its name."""
         return self.constant(f"c_{value!r}", value, np.bool_ if isinstance(value, bool) else None)
 
     def split(self, array: str, names: Sequence[str]) -> None:
-        """Give every column of an array its name."""
+        """Split an array into columns of these names."""
         self.node("Split", [array, self.constant(f"ones_{len(names)}", [1] * len(names), np.int64)], names, axis=1)
 
     def equation(self, prefix: str, graph: Graph, wanted: Sequence[Symbol], given: Mapping[str, str]) -> list[str]:
-        """Add what a graph's results depend on and return their names; `given` names the graph's inputs."""
+        """Add the nodes for some results of a graph and return their names; `given` has the names of its inputs."""
         flat = lowered(graph, wanted, self.precision)
         names: dict[int, str] = {}
         for i in graph.needed(s.index for s in flat):
@@ -105,20 +105,20 @@ class _Writer:
         ]
 
     def column(self, number: str, like: str, name: str) -> str:
-        """Add a column that holds a number, as long as another one, and return its name."""
+        """Add a column filled with a number, of the length of the column `like`, and return its name."""
         self.node("Shape", [like], [f"{name}_shape"])
         self.node("Expand", [number, f"{name}_shape"], [name])
         return name
 
     def within(self, array: str, most: float) -> str:
-        """Add which entries of an array are numbers of at most a magnitude, and return the name of these truths."""
+        """Add the mask of the entries of an array whose magnitude is at most `most`, and return its name."""
         self.node("Abs", [array], [f"{array}_size"])
         self.node("LessOrEqual", [f"{array}_size", self.number(most)], [f"{array}_within"])
         return f"{array}_within"
 
     def usable(self, arrays: Sequence[str]) -> str:
-        """Add in which rows all entries of some arrays are usable, and return the name of that column of truths."""
-        for array in arrays:  # there is no minimum of truth values
+        """Add the mask of the rows in which all entries of some arrays are usable, and return its name."""
+        for array in arrays:  # ONNX has no minimum of truth values
             self.node("Cast", [self.within(array, LARGEST)], [f"{array}_ones"], to=self.real)
             self.node("ReduceMin", [f"{array}_ones"], [f"{array}_least"], axes=[1], keepdims=1)
         self.node("Min", [f"{array}_least" for array in arrays], ["least"])
@@ -126,7 +126,7 @@ class _Writer:
         return "usable"
 
     def program(self, program: Program, given: Mapping[str, str]) -> dict[str, str]:
-        """Add a network and return the names of its results; vectors are rows here."""
+        """Add a network and return the names of its results; its vectors become rows of the batch."""
         names: dict[int, str] = {}
 
         def named(argument: Any) -> str:
@@ -156,16 +156,16 @@ class _Writer:
 
 
 def onnx_model(agent: Exported, precision: str = "float64") -> Any:
-    """Return an agent as an `onnx.ModelProto`, checked.
+    """Return an agent as a checked `onnx.ModelProto`.
 
-    Its inputs are observation (batch, n) and the memory, arrays (batch, size) that are zero at an episode's start; its
-    outputs the action (batch, 2) and, by the names next_..., the memory to hand in next. Where an observation, or what
-    is computed, is not finite or beyond `LARGEST`, the action is the last one, which the observation holds, or zero if
-    that is not finite either, and the memory is the one that was handed in.
+    The inputs are the observation (batch, n) and the memory: arrays (batch, size), zero at the start of an episode. The
+    outputs are the action (batch, 2) and, with names next_..., the memory for the next call. If a number in a row of
+    the inputs or results is not finite or larger than `LARGEST` in magnitude, the action is the last one, which is in
+    the observation, or zero where that is not in [-1, 1], and the memory is the input memory.
 
     Args:
-        agent: what is printed.
-        precision: of all numbers, inputs and outputs too, "float32" or "float64".
+        agent: the agent.
+        precision: type of all numbers, including inputs and outputs, "float32" or "float64".
 
     Raises:
         ImportError: onnx is not installed.
@@ -173,7 +173,7 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     from onnx import checker, helper
 
     writer = _Writer(precision)
-    results = _wired(writer, agent)
+    results = _add_agent(writer, agent)
     before = {"action": _last_command(writer), **{f"next_{name}": name for name in agent.memory}}
     usable = writer.usable(["observation", *(results[name] for name in before)])
     sizes = {"observation": len(agent.columns), **agent.memory}
@@ -187,22 +187,22 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     graph = helper.make_graph(writer.nodes, agent.name, inputs, outputs, list(writer.constants.values()))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="auv_gym")
     model.ir_version = IR_VERSION
-    model.doc_string = f"{agent.name}: command for an observation, the expert {agent.agent.expert} inside"
+    model.doc_string = f"{agent.name}: command for an observation, with the expert {agent.agent.expert}"
     helper.set_model_props(model, agent.facts)
     checker.check_model(model, full_check=True)
     return model
 
 
 def _last_command(writer: _Writer) -> str:
-    """Add the last command that the observation holds, zero where it is no command, and return its name."""
+    """Add the last command, taken from the observation, zero where it is not in [-1, 1], and return its name."""
     first, end, axis = (writer.constant(f"at_{k}", [k], np.int64) for k in (A_U, A_U + OUTPUTS, 1))
     writer.node("Slice", ["observation", first, end, axis], ["last"])
     writer.node("Where", [writer.within("last", 1.0), "last", writer.number(0.0)], ["last_command"])
     return "last_command"
 
 
-def _wired(writer: _Writer, agent: Exported) -> dict[str, str]:
-    """Add features, network and command, and return the names of the model's outputs by what they are."""
+def _add_agent(writer: _Writer, agent: Exported) -> dict[str, str]:
+    """Add features, network and command, and return the names of the results by the names of the outputs."""
     see = agent.see
     given = {s.node[1]: s.node[1] for own in see.arguments.values() for s in own}
     columns = [s.node[1] for s in see.arguments["observation"]] + [s.node[1] for s in see.arguments["ahead"]]

@@ -1,7 +1,7 @@
-"""What an agent is made of, as graphs and vectors that printers read: its expert, features, network and command.
+"""The parts of an agent for code generation: expert, features, network and command, as graphs and programs.
 
-Nothing is written anew here: the graphs are those of the kernels that the policy itself runs, and the network's program
-is recorded from the function that computes it.
+The graphs are those of the kernels that the policy itself runs, and the program of the network is traced from the
+function that computes it, so there is one copy of each equation.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from baselines.agents.residual_policy import command_kernel, feature_kernel
 from baselines.tools.files import read_json
 
 MEASURED_NAMES = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]")
-"""What is measured of the vehicle, velocities over ground in the body's axes."""
+"""The measured state of the vehicle; velocities are over ground, in body axes."""
 REFERENCE_NAMES = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]", "F_u [N]", "F_r [N m]")
-"""What is known of the reference at this instant."""
+"""The reference at this instant."""
 SETTING = ("F_u_max [N]", "F_r_max [N m]", "control period [s]")
-"""What an action of 1 commands, and how long a command is held."""
+"""The limits, which are the commands for an action of 1, and the control period."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """An agent as its printers see it."""
+    """The parts of an agent for code generation."""
 
     name: str
     agent: Agent
@@ -52,40 +52,40 @@ class Exported:
     see: Kernel  # from the observation to features, integrals and the expert's action, `base`
     network: Program  # from features and hidden to correction and next_hidden
     command: Kernel  # from base, authority and correction to the command
-    vehicle: Vehicle = PAPER_VEHICLE  # that it steers
-    span: int = 1  # of its scenarios' observations, see `auv_gym.task.observation.bounds`
+    vehicle: Vehicle = PAPER_VEHICLE
+    span: int = 1  # widest span of the observations, see `widest_span`
 
     @property
     def preview(self) -> tuple[int, ...]:
-        """Control periods ahead at which it sees the reference."""
+        """Numbers of control periods ahead at which the agent observes the reference."""
         return self.agent.inputs.preview
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What an observation holds, entry by entry."""
+        """Name, unit and scale of each entry of an observation."""
         own = tuple(f"{term.name} [{term.unit}] / {term.scale:g}" for term in TERMS)
         return own + tuple(f"ahead_{n}_{axis} [m]" for n in self.preview for axis in "xy")
 
     @property
     def memory(self) -> dict[str, int]:
-        """How many numbers of each kind it remembers; all are zero at an episode's start."""
+        """The size of each array of the memory; all are zero at the start of an episode."""
         sizes = {"integrals": self.agent.inputs.memory, "correction": OUTPUTS, "hidden": self.agent.network.memory}
         return {name: size for name, size in sizes.items() if size}
 
     @property
     def seen(self) -> dict[str, Sequence[Symbol]]:
-        """The results of `see` that an agent needs to act."""
+        """The results of the kernel `see` that the agent uses."""
         return {name: self.see.results[name] for name in ("integrals", "features", "base")}
 
     @property
     def periods(self) -> tuple[float, ...]:
-        """Control periods [s] of the scenarios that it was trained on."""
+        """Control periods [s] of the scenarios on which the agent was trained."""
         time = Units.of(self.vehicle).time
         return tuple(sorted({time * PRESETS[name].control_dt for name in self.agent.scenarios if name in PRESETS}))
 
     @property
     def facts(self) -> dict[str, str]:
-        """What somebody who finds the exported file should know, by its name."""
+        """The description of the agent in the exported files, by key."""
         return {
             "name": self.name,
             "expert": self.agent.expert,
@@ -100,46 +100,49 @@ class Exported:
 def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -> Exported:
     """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.similar`.
 
-    A published vehicle, by its name or file, brings the bounds of its observations; a hull alone has the paper's.
+    The bounds of the observations are those of the vehicle model if a name or a file is given, and the paper's for a
+    `Vehicle`.
 
     Raises:
-        OSError: a file of it cannot be read.
-        ValueError: there is no such agent or vehicle, or the agent has a part that cannot be printed: an expert with a
-            memory, or corrections that fade.
+        OSError: a file of the agent cannot be read.
+        ValueError: there is no such agent or vehicle, or the agent cannot be exported because its expert has a memory
+            or its corrections are gated by `FADING`.
     """
     if name.endswith(FADING):
-        raise ValueError(f"{name!r} cannot be exported: corrections that fade are not printed; leave out {FADING}")
+        raise ValueError(f"{name!r} cannot be exported with gated corrections; leave out {FADING}")
     if (folder := agent_folder(name)) is None:
         raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
     agent = Agent.load(folder)
-    own = as_vehicle(vehicle)
-    similar = in_paper_units(own)
-    expert = make_expert(agent.expert, vehicle=similar)
+    known = as_vehicle(vehicle)
+    scaled = in_paper_units(known)
+    expert = make_expert(agent.expert, vehicle=scaled)
     if not traceable(expert):
-        raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
+        raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} must be a law without memory")
     record = read_json(folder / AGENT_FILE)
     forces = cast(Law, expert).forces
-    hull = similar if agent.inputs.hull else PAPER_VEHICLE
-    see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(own))
+    observed = scaled if agent.inputs.hull else PAPER_VEHICLE
+    see = feature_kernel(agent.inputs, forces, observed.coefficients, Units.of(known))
     network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
-    return Exported(folder.name, agent, record["weights_sha256"], see, network, command, own, span)
+    return Exported(folder.name, agent, record["weights_sha256"], see, network, command, known, span)
 
 
 def widest_span(vehicle: Vehicle | VehicleModel | str) -> int:
     """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.observation.bounds`."""
     spans = [1]
     for preset in PRESETS.values():
-        with suppress(ValueError):  # a path too slow for its fins
+        with suppress(ValueError):  # the path is too slow for the fins of this vehicle
             spans.append(changed(preset, vehicle).span)
     return max(spans)
 
 
 def network_program(agent: Agent, prefix: str = "") -> Program:
-    """Return an agent's network as a program of vectors, whose constants' names begin with a prefix."""
+    """Return an agent's network as a program on vectors; the names of its constants have the prefix."""
     network = agent.network
     layers = network.prepared(agent.weights)
     constants = {
-        f"{prefix}{kind}{i}": own for i, pair in enumerate(layers) for kind, own in zip(_KINDS, pair, strict=True)
+        f"{prefix}{kind}{i}": array
+        for i, layer in enumerate(layers)
+        for kind, array in zip(("weight", "bias"), layer, strict=True)
     }
     inputs = {"features": network.inputs, "hidden": network.memory}
     return Program.traced(
@@ -147,17 +150,13 @@ def network_program(agent: Agent, prefix: str = "") -> Program:
     )
 
 
-_KINDS = ("weight", "bias")
-"""The two arrays of a layer."""
-
-
 @cache
 def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
-    """Return the kernel from measurements in SI units to an observation, by what the environment does.
+    """Return the kernel from measurements in SI units to an observation, traced from the environment's equations.
 
-    Its arguments: `MEASURED_NAMES`; `REFERENCE_NAMES`; ahead, displacements of the reference in the world from now to
-    each time of the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
-    For the span see `auv_gym.task.observation.bounds`.
+    Its arguments are measured (`MEASURED_NAMES`), reference (`REFERENCE_NAMES`), last (the previous command), setting
+    (`SETTING`), and with a preview ahead: the displacements x, y, x, y, ... [m] of the reference, in world axes, from
+    now to each time of the preview. For the span see `auv_gym.task.observation.bounds`.
     """
 
     def equation(measured: Any, reference: Any, last: Any, setting: Any, ahead: Any = ()) -> Mapping[str, Any]:
@@ -179,7 +178,7 @@ def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
 
 
 def quantised(weight: Any) -> tuple[Any, Any]:
-    """Return a matrix as integers in [-127, 127] and the factor of each of its rows."""
+    """Return a matrix as integers in [-127, 127] and the scale factor of each row."""
     scale = np.abs(weight).max(axis=1) / 127
     scale = np.where(scale > 0, scale, 1.0).astype(np.float32)
     return np.rint(weight / scale[:, None]).astype(np.int8), scale

@@ -1,1 +1,1 @@
-"""Gains as data: the only place of the controllers' numbers."""
+"""Gains of the tuned controllers, as JSON files. No other module contains such numbers."""

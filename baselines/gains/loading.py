@@ -1,4 +1,7 @@
-"""Gains as data: a JSON file in `baselines/gains` for each controller and regime, with where the numbers come from."""
+"""Load the gains of the tuned controllers.
+
+Each controller has a JSON file per speed range in `baselines/gains`. The file also says where the numbers come from.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,18 @@ from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
 
-GAINS_FOLDER = Path(__file__).parent  # of the gains, NAME-REGIME.json
+GAINS_FOLDER = Path(__file__).parent
+"""Folder of the files of gains, NAME-SPEED_RANGE.json."""
 
 
 def gain_file(name: str, speed_range: str) -> Path:
-    """Return where the gains of a controller for a regime are kept.
+    """Return the path of the file with the gains of a controller for a speed range.
 
     Raises:
-        ValueError: the regime is neither slow nor cruise.
+        ValueError: the speed range is neither slow nor cruise.
     """
     if speed_range not in SPEED_RANGES:
-        raise ValueError(f"unknown regime {speed_range!r}; allowed are {', '.join(SPEED_RANGES)}")
+        raise ValueError(f"unknown speed range {speed_range!r}; allowed are {', '.join(SPEED_RANGES)}")
     return GAINS_FOLDER / f"{name}-{speed_range}.json"
 
 
@@ -31,7 +35,8 @@ def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, fl
     """Return the gains as floats, in the order of `names`.
 
     Raises:
-        ValueError: they are no mapping of exactly these names to finite numbers of at least 0; `source` is cited.
+        ValueError: `gains` is not a mapping from exactly these names to finite numbers of at least 0. The message
+            begins with `source`.
     """
     if not isinstance(gains, Mapping) or set(gains) != set(names):
         given = ", ".join(map(str, gains)) if isinstance(gains, Mapping) else repr(gains)
@@ -43,34 +48,38 @@ def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, fl
 
 
 def load_gains(name: str, speed_range: str, names: Sequence[str], part: str = "gains") -> dict[str, float]:
-    """Return the gains of a controller for a regime, "slow" or "cruise".
+    """Return the gains of a controller for a speed range.
 
     Args:
-        name: the controller's name, which its files begin with.
+        name: of the controller; its files begin with it.
         speed_range: "slow" or "cruise".
-        names: the names of its gains.
-        part: "gains", or "start" for those that the search began at; where there was no search, they are the same.
+        names: of its gains.
+        part: "gains", or "start" for the initial gains of the search. Without a search they are the same.
 
     Raises:
-        ValueError: there is no such regime or file, the file is not valid JSON, or its gains are not those of `names`.
+        ValueError: the speed range or the file does not exist, the file is not valid JSON, or the names of its gains
+            are not `names`.
     """
     record = gain_record(name, speed_range)
     return checked_gains(record.get(part, record.get("gains")), names, str(gain_file(name, speed_range)))
 
 
 def gain_record(name: str, speed_range: str) -> dict[str, Any]:
-    """Return the file of a controller's gains for a regime; what is no record is taken for its gains.
+    """Return the contents of the file with a controller's gains for a speed range.
+
+    A file that holds no JSON object is returned as {"gains": contents}, so that `checked_gains` can report it.
 
     Raises:
-        ValueError: there is no such regime or file, or the file is not valid JSON.
+        ValueError: the speed range or the file does not exist, or the file is not valid JSON.
     """
     file = gain_file(name, speed_range)
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         command = f"auv-gym tune {name} --speed-range {speed_range}"
-        how = f'write some to begin at, {{"gains": ...}}, then {command}'
-        raise ValueError(f"there are no gains in {file}; {how}") from None
+        raise ValueError(
+            f'the file of gains {file} does not exist; write initial gains, {{"gains": ...}}, then run {command}'
+        ) from None
     except ValueError as error:
         raise ValueError(f"{file} is not valid JSON: {error}") from error
     return record if isinstance(record, dict) else {"gains": record}
@@ -83,17 +92,17 @@ def tuned_policy(
     gains: Mapping[str, float] | None = None,
     vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
 ) -> Remembering:
-    """Return a policy with the gains of the regime that its reference's speed belongs to.
+    """Return a policy that selects its gains by the speed of the reference.
 
     Args:
-        name: the controller's name, which its files begin with.
-        names: the names of its gains.
-        controller: makes it from gains for a vehicle.
-        gains: used at every speed in place of the files.
-        vehicle: the vehicle that the controller believes in; an object, a name or a dict.
+        name: of the controller; its files begin with it.
+        names: of its gains.
+        controller: returns the controller for gains and a vehicle.
+        gains: used at every speed instead of the gains in the files.
+        vehicle: nominal model of the controller; an object, a name or a dict.
 
     Raises:
-        ValueError: unknown vehicle; a file or `gains` is not what it must be, see `load_gains` and `checked_gains`.
+        ValueError: unknown vehicle; a file or `gains` is not valid, see `load_gains` and `checked_gains`.
     """
     known = as_vehicle(vehicle)
     if gains is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -19,7 +19,6 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
-from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
 from baselines.identification.model import COEFFICIENTS
 
@@ -27,7 +26,7 @@ _LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
 _SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
 START_WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
 SIMPLER = 0.03
-"""By how much the logarithm of what is left must fall before a lag or a limit is believed."""
+"""By how much the logarithm of the residuals must fall before a lag or a limit is believed."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +39,30 @@ class RoughStart:
     shares: Array  # force that a unit of each parameter makes, as a share of all forces, shape (H,)
 
 
+@dataclass(frozen=True)
+class Begin:
+    """Where a search begins, and what it may find."""
+
+    values: Array  # of `LogModel.names`, shape (P,)
+    scales: Array  # changes that matter, shape (P,)
+    bounds: tuple[Array, Array]  # least and largest values, shape (P,) each
+    free: tuple[str, ...]  # what is searched for
+    shares: Mapping[str, float]  # force of a unit of a coefficient, as a share of all forces
+    sizes: Array | None = None  # how large parameters may well be, see `least_squares.fit`
+
+    def with_terms(self, terms: Sequence[str]) -> Begin:
+        """Return the same with further terms of the vehicle among what is searched for."""
+        more = [name for name in terms if name not in self.free and self.shares[name] > 0]
+        return replace(self, free=(*self.free, *more))
+
+
 @cache
-def _equations() -> Kernel:
+def balance() -> Kernel:
     """Return the kernel of how the forces that do not balance depend on each parameter: the equations are linear."""
 
     def equation(motion: Any, coefficients: Any) -> Mapping[str, Sequence[Any]]:
         u, v, r, a_u, a_v, a_r, X, N = motion
-        _, _, *found = rates(0.0, u, v, r, (X, 0.0, N), Coefficients(*coefficients), SYMBOLS)
+        _, _, *found = rates(0.0, u, v, r, (X, 0.0, N), coefficients, SYMBOLS)
         left = [m * (a - b) for m, a, b in zip(coefficients[:3], (a_u, a_v, a_r), found, strict=True)]
         return {"terms": [entry for row in jacobian(left, coefficients) for entry in row]}
 
@@ -61,11 +77,9 @@ def rough_start(log: Log, needed: Sequence[str], window: int) -> RoughStart:
         needed: names of the vehicle's parameters that are not taken as 0.
         window: rows that speeds are smoothed over.
     """
-    speeds, accelerations = _smoothed(log, window)
+    speeds, accelerations = smoothed(log, window)
     motion = np.concatenate((speeds, accelerations, np.zeros((2, len(log.t)))))
-    terms = _equations()(motion=motion, coefficients=np.ones(len(COEFFICIENTS)))["terms"].reshape(
-        3, len(COEFFICIENTS), -1
-    )
+    terms = balance()(motion=motion, coefficients=np.ones(len(COEFFICIENTS)))["terms"].reshape(3, len(COEFFICIENTS), -1)
     columns = [COEFFICIENTS.index(name) for name in needed]
     best: tuple[float, Array, float, Array] | None = None
     peaks = np.abs(log.commands).max(axis=0)
@@ -82,7 +96,7 @@ def rough_start(log: Log, needed: Sequence[str], window: int) -> RoughStart:
     coefficients = np.zeros(len(COEFFICIENTS))
     coefficients[columns] = best[1]
     _fill(coefficients, log)
-    return RoughStart(coefficients, best[2], best[3], _shares(terms, coefficients))
+    return RoughStart(coefficients, best[2], best[3], shares_of(terms, coefficients))
 
 
 def _forces(log: Log, lag: float, limits: Array) -> Array:
@@ -98,20 +112,22 @@ def _forces(log: Log, lag: float, limits: Array) -> Array:
     return acting
 
 
-def _smoothed(log: Log, window: int) -> tuple[Array, Array]:
-    """Return u, v, r and their rates, each of shape (3, T), by local polynomials."""
-    even = np.linspace(log.t[0], log.t[-1], len(log.t))
-    rows = np.stack([np.interp(even, log.t, column) for column in log.measured[:, 3:].T])
-    spacing = float(even[1] - even[0])
-    speeds = savgol_filter(rows, window, 2)
-    accelerations = savgol_filter(rows, window, 2, deriv=1, delta=spacing)
+def smoothed(log: Log, window: int) -> tuple[Array, Array]:
+    """Return u, v, r and their rates, each of shape (3, T), by local polynomials over so many rows."""
+    speeds, accelerations = np.empty((2, 3, len(log.t)))
+    for run in log.runs:
+        t = log.t[run]
+        even = np.linspace(t[0], t[-1], len(t))
+        rows = np.stack([np.interp(even, t, column) for column in log.measured[run, 3:].T])
+        speeds[:, run] = savgol_filter(rows, window, 2)
+        accelerations[:, run] = savgol_filter(rows, window, 2, deriv=1, delta=float(even[1] - even[0]))
     return speeds, accelerations
 
 
 def _solved(terms: Array, load: Array) -> tuple[float, Array]:
-    """Return the logarithm of what is left of the equations, and the parameters that leave it; none is negative.
+    """Return the logarithm of the residuals of the equations, and the parameters that leave them; none is negative.
 
-    Nothing pushes sideways: forces there count as those ahead do. Counted by what is left of them, they would be
+    Nothing pushes sideways: forces there count as those ahead do. Counted by their residuals, they would be
     explained best by a vehicle without mass.
     """
     ahead, _, turning = np.sqrt(np.mean(load**2, axis=1)).tolist()
@@ -133,7 +149,7 @@ def _fill(coefficients: Array, log: Log) -> None:
     np.copyto(drags, masses / log.duration, where=drags <= 0)
 
 
-def _shares(terms: Array, coefficients: Array) -> Array:
+def shares_of(terms: Array, coefficients: Array) -> Array:
     """Return the force of a unit of each parameter as a share of all forces, in the equation where that is largest."""
     sizes = np.sqrt(np.mean(terms**2, axis=2))  # (3, H)
     total = np.maximum((sizes * np.abs(coefficients)).sum(axis=1), 1e-300)

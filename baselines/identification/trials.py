@@ -69,12 +69,17 @@ class Trial:
 
 
 class Simulated:
-    """A vehicle of the simulator with its actuators, as a `PlantStep`."""
+    """A vehicle of the simulator with its actuators, as a `PlantStep`.
 
-    def __init__(self, vehicle: Vehicle, actuators: Actuators, current: CurrentVelocity = STILL_WATER) -> None:
+    The yaw moment is that of a side force at a distance `arm` [m] behind the origin, or without one.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, actuators: Actuators, current: CurrentVelocity = STILL_WATER, arm: float = math.inf
+    ) -> None:
         if isinstance(actuators.lag, tuple):
             raise ValueError(f"actuators lag is {actuators.lag!r}; a simulated trial needs a number")
-        self._vehicle, self._actuators, self._current = vehicle, actuators, current
+        self._vehicle, self._actuators, self._current, self._arm = vehicle, actuators, current, arm
         self._lag = float(actuators.lag)
         self._force: Force = (0.0, 0.0)
 
@@ -87,8 +92,8 @@ class Simulated:
         response = Response.of(self._lag, act.F_u_rate, act.F_r_rate, h)
         for _ in range(FINER):
             acting, self._force = respond(self._force, (limited[0], limited[1]), response, FLOATS)
-            load = (acting[0], 0.0, acting[1])
-            state = rk4_step(state, load, self._vehicle.coefficients, h, self._current)
+            load = (acting[0], 0.0 - acting[1] / self._arm, acting[1])
+            state = rk4_step(state, load, self._vehicle.all_coefficients, h, self._current)
         return state
 
 

@@ -6,10 +6,10 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
+from scipy.special import chdtrc
 
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.namespaces import Array, Indices
 from baselines.identification.least_squares import Left
 from baselines.identification.log import Log, unwrapped
 
@@ -17,11 +17,13 @@ NORMAL_QUANTILE = 1.959964  # of a 95 % interval
 _TINY = 1e-6  # least noise, as a share of the range of a measurement
 SINGULAR = 1e-9  # least singular value of slopes of length one
 _WINDOW = 4  # residuals are taken as related over at most a fourth of a segment
+PORTMANTEAU = 10  # rows over which it is tested whether residuals are related
 
 
 def rough_noise(log: Log) -> Array:
     """Return standard deviations of the measurements' noise, shape (6,), from what no smooth motion does."""
-    bends = np.diff(unwrapped(log), 2, axis=0)
+    measured = unwrapped(log)
+    bends = np.concatenate([np.diff(measured[run], 2, axis=0) for run in log.runs])
     noise = 1.4826 * np.median(np.abs(bends - np.median(bends, axis=0)), axis=0) / math.sqrt(6)
     return np.asarray(np.maximum(noise, least_noise(log)))
 
@@ -39,13 +41,36 @@ def found_noise(left: Left, noise: Array, log: Log) -> Array:
     return np.asarray(np.maximum(rms * noise, least_noise(log)))
 
 
-def covariance(left: Left, starts: NDArray[np.int64]) -> Array:
+def whiteness(errors: Array, starts: Indices) -> float:
+    """Return the probability that white noise leaves residuals as related from row to row as these, or more.
+
+    By the portmanteau statistic of all measurements together (G. M. Ljung and G. E. P. Box, "On a measure of lack of
+    fit in time series models", Biometrika 65:297-303, 1978).
+
+    Args:
+        errors: measured less predicted, shape (T, 6).
+        starts: rows at which segments begin, shape (S,).
+    """
+    cuts = [*starts.tolist(), len(errors)]
+    total = 0.0
+    for channel in range(errors.shape[1]):
+        for k in range(1, PORTMANTEAU + 1):
+            pairs = [errors[a : b - k, channel] @ errors[a + k : b, channel] for a, b in itertools.pairwise(cuts)]
+            count = sum(max(b - a - k, 0) for a, b in itertools.pairwise(cuts))
+            variance = float(np.mean(errors[:, channel] ** 2))
+            total += (sum(pairs) / variance) ** 2 / max(count, 1)
+    return float(chdtrc(PORTMANTEAU * errors.shape[1], total))
+
+
+def covariance(left: Left, starts: Indices, misfit: bool = False) -> Array:
     """Return the covariance of the free parameters, shape (F, F).
 
     That of white noise is the inverse of the information. Where residuals are related from row to row, as waves or a
     wrong model make them, it is corrected by their autocorrelation (E. A. Morelli and V. Klein, "Determining the
     accuracy of maximum likelihood parameter estimates with colored residuals", NASA CR-194893, 1994), and no variance
-    is taken to be smaller for it. A direction that the log says nothing about has a variance beyond all numbers.
+    is taken to be smaller for it. With a misfit it is also not smaller than what the scatter of the segments says, each
+    taken as a whole (K.-Y. Liang and S. L. Zeger, "Longitudinal data analysis using generalized linear models",
+    Biometrika 73:13-22, 1986). A direction that the log says nothing about has a variance beyond all numbers.
     """
     F = left.slopes.shape[2]
     flat = left.slopes.reshape(-1, F)
@@ -66,8 +91,12 @@ def covariance(left: Left, starts: NDArray[np.int64]) -> Array:
             row[: min(window, b - a)] = related[: b - a]
             own = left.slopes[a:b, channel]
             middle += own.T @ toeplitz(row) @ own
-    coloured = white @ middle @ white
-    wider = np.sqrt(np.maximum(np.diag(coloured) / np.diag(white), 1.0))
+    variances = [np.diag(white @ middle @ white)]
+    if misfit:
+        pulls = [left.slopes[a:b].reshape(-1, F).T @ left.errors[a:b].ravel() for a, b in itertools.pairwise(cuts)]
+        S = len(pulls)
+        variances.append(S / max(S - 1, 1) * np.sum((np.array(pulls) @ white) ** 2, axis=0))
+    wider = np.sqrt(np.maximum(np.max(variances, axis=0) / np.diag(white), 1.0))
     return np.asarray(white * np.outer(wider, wider))
 
 

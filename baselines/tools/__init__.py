@@ -1,1 +1,1 @@
-"""What command lines, files, figures and workers share."""
+"""Shared functions for command lines, files, figures, seeds and worker processes."""

@@ -1,4 +1,4 @@
-"""What the command lines share: options from a dataclass, mistakes answered in one line, threads, and a tidy end."""
+"""Shared parts of the command lines: options from a dataclass, errors as one line, number of threads, signals."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from threadpoolctl import threadpool_limits
 
 Options = TypeVar("Options")
 
-_called: ContextVar[str] = ContextVar("_called", default="")  # what the user has typed, while `run` runs it
+_called: ContextVar[str] = ContextVar("_called", default="")  # the command as typed by the user, while `run` runs it
 
-DONE = 0  # exit status of a command that did its work
-FAILED = 1  # exit status of a command that could not
-WRONG_USAGE = 2  # exit status of a command with wrong arguments
+DONE = 0  # exit status: success
+FAILED = 1  # exit status: the command failed
+WRONG_USAGE = 2  # exit status: wrong arguments
 THREADS = "OMP_NUM_THREADS"
-"""Variable that says how many threads a process computes with; without it, one."""
+"""Environment variable with the number of threads of a process; the default is one."""
 
 
 class UsageError(Exception):
-    """A user's mistake; the message says in one line what to change."""
+    """A user's error; the message is one line that says what to change."""
 
 
 class WorkerError(Exception):
-    """A worker process was lost; the message says in one line what is known about it."""
+    """A worker process ended unexpectedly; the message is one line with the reason, if it is known."""
 
 
 def parse(options: type[Options], arguments: Sequence[str], program: str) -> Options:
@@ -42,16 +42,16 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
 
     Args:
         options: a dataclass; its docstring and those of its fields are the help.
-        arguments: the words behind the program's name.
-        program: its name, where it was not started by `run`.
+        arguments: the words after the name of the program.
+        program: name of the program, for a command that was not started by `run`.
 
     Raises:
-        UsageError: the arguments do not fit.
-        SystemExit: help was asked for, and printed.
+        UsageError: the arguments are wrong.
+        SystemExit: the user asked for the help, which has been printed.
     """
     program = called(program)
     if strange := [word for word in arguments if word != printable(word)]:
-        raise UsageError(f"{strange[0]!r} holds characters that cannot be printed; leave them out")
+        raise UsageError(f"{strange[0]!r} contains characters that cannot be printed; leave them out")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
@@ -63,14 +63,17 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
 
 
 def printable(text: str) -> str:
-    """Return a text without what a terminal would obey or no file could hold: control characters, lone surrogates."""
+    """Return a text in which control characters and lone surrogates are replaced by the replacement character.
+
+    A terminal would obey the first, and the second cannot be encoded as UTF-8.
+    """
     return "".join(c if unicodedata.category(c) not in ("Cc", "Cs") else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _first_paragraph(box: str) -> str:
-    """Return what stands between title and first rule of a message that tyro has drawn as a box, on one line.
+    """Return the first paragraph of an error message that tyro has drawn as a box, on one line.
 
-    All that tyro offers besides is a hook in a private module, which it says may change in any release.
+    The only alternative is a hook in a private module of tyro, which may change in any release.
     """
     words: list[str] = []
     for row in box.splitlines()[1:]:
@@ -82,13 +85,13 @@ def _first_paragraph(box: str) -> str:
 
 
 def words_of(options: Any, defaults: Any) -> list[str]:
-    """Return the words of a command line that turn one value of a dataclass into another.
+    """Return the words of a command line that sets some options.
 
-    A field whose option is a word of Python has a `_` behind its name, such as `from_`.
+    A field whose option is a keyword of Python has a trailing `_`, such as `from_`.
 
     Args:
-        options: what the words are to give.
-        defaults: what is there without a word; of the same class.
+        options: a dataclass with the values to set.
+        defaults: the values without any word; of the same class.
     """
     words = []
     for f in fields(options):
@@ -99,10 +102,10 @@ def words_of(options: Any, defaults: Any) -> list[str]:
 
 
 def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None:
-    """Check words that the user has typed, of a kind such as "policy".
+    """Check that the user has typed allowed words only; `kind`, such as "policy", is for the message.
 
     Raises:
-        UsageError: one is not allowed; the first of them is named, with what is.
+        UsageError: a word is not allowed; the message has the first such word and the allowed ones.
     """
     known = tuple(allowed)
     if unknown := [word for word in given if word not in known]:
@@ -111,36 +114,36 @@ def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None
 
 @contextlib.contextmanager
 def checked_record(file: Path, program: str) -> Iterator[None]:
-    """Read within the block what a program has written to a file, to which it adds.
+    """Turn errors of a block that reads the program's own results file into a UsageError.
 
     Raises:
-        UsageError: the block finds that the file holds something else.
+        UsageError: the file has other content than the program writes.
     """
     try:
         yield
     except (ValueError, TypeError, KeyError, AttributeError):
-        raise UsageError(f"{file} does not hold what {program} writes; delete it, or name another with --out") from None
+        raise UsageError(f"{file} was not written by {program}; delete it, or name another file with --out") from None
 
 
 def called(program: str) -> str:
-    """Return what the user has typed to start this command: what `run` was told, else its own name."""
+    """Return the command as the user has typed it: the argument of `run`, otherwise the command's own name."""
     return _called.get() or program
 
 
 def typed(program: str, arguments: Sequence[str]) -> str:
-    """Return the line that a user types to start this command with these arguments."""
+    """Return the line that starts this command with these arguments."""
     name = called(program)
     return f"{'python ' if name.endswith('.py') else ''}{name} {shlex.join(arguments)}".rstrip()
 
 
 def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status; a mistake is one line on stderr.
+    """Run a command and return its exit status; an error is one line on stderr.
 
-    It computes with one thread unless `THREADS` says otherwise, and SIGTERM ends it as SIGINT does.
+    The command computes with one thread unless `THREADS` has another number. SIGTERM ends it in the same way as SIGINT.
 
     Args:
         command: takes the arguments and returns the exit status.
-        program: what the user has typed before them, for messages.
+        program: the words that the user has typed before the arguments, for messages.
         arguments: None: those of this process.
     """
     status, line = FAILED, ""
@@ -155,7 +158,7 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
     except WorkerError as error:
         line = str(error)
     except OSError as error:
-        status, line = FAILED, f"cannot go on: {error}"
+        status, line = FAILED, f"cannot continue: {error}"
         _drop_output()
     except KeyboardInterrupt:
         line = "interrupted"
@@ -167,10 +170,13 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
 
 
 def set_threads() -> None:
-    """Make libraries compute with as many threads as `THREADS` says, those that are still to be loaded too.
+    """Set the number of threads of all libraries, also of those that are loaded later, to the value of `THREADS`.
 
-    Without a word one: networks and batches here are small, and threads that wait for one another on a busy machine
-    cost more than they bring.
+    The default is one: networks and batches are small here, so on a busy machine several threads take more time than
+    one.
+
+    Raises:
+        UsageError: the value is no integer in [1, 1024].
     """
     count = os.environ.setdefault(THREADS, "1").partition(",")[0]
     if not count.isdecimal() or not 0 < int(count) <= 1024:
@@ -180,7 +186,7 @@ def set_threads() -> None:
 
 @contextlib.contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM unwind what is running, so that its worker processes end with it."""
+    """Make SIGTERM raise KeyboardInterrupt, so that worker processes end with this process."""
 
     def end(*_: object) -> NoReturn:
         raise KeyboardInterrupt
@@ -193,6 +199,6 @@ def _terminable() -> Iterator[None]:
 
 
 def _drop_output() -> None:
-    """Let nothing more be written to stdout, which may be what has failed: the interpreter would try it at its end."""
+    """Redirect stdout to the null device: after a failed write the interpreter would try to flush it at exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

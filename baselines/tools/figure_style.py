@@ -1,4 +1,4 @@
-"""One look for all figures: colours that the colour-blind can tell apart, units on every axis."""
+"""The common style of all figures, with a palette for readers with colour vision deficiency."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # imported where figures are drawn: most commands draw none
+if TYPE_CHECKING:  # imported where figures are drawn, since most commands draw none
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """The palette of M. Okabe and K. Ito (2008), in the order of use."""
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # of points, in the order of use
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers of points in the order of use
 OUTLINES = (
     "M -1 0 A 1 1 0 1 1 1 0 A 1 1 0 1 1 -1 0 Z",
     "M -0.9 -0.9 H 0.9 V 0.9 H -0.9 Z",
@@ -24,7 +24,7 @@ OUTLINES = (
     "M -0.4 -1.1 H 0.4 V -0.4 H 1.1 V 0.4 H 0.4 V 1.1 H -0.4 V 0.4 H -1.1 V -0.4 H -0.4 Z",
     "M -0.5 0 L -1 -0.5 L -0.5 -1 L 0 -0.5 L 0.5 -1 L 1 -0.5 L 0.5 0 L 1 0.5 L 0.5 1 L 0 0.5 L -0.5 1 L -1 0.5 Z",
 )
-"""The markers as paths of a page's graphics, about a circle of radius 1."""
+"""The markers as SVG paths, about the size of a circle of radius 1."""
 DASHES: tuple[tuple[Any, tuple[float, ...]], ...] = (
     ("-", ()),
     ("--", (7, 3)),
@@ -32,40 +32,39 @@ DASHES: tuple[tuple[Any, tuple[float, ...]], ...] = (
     ("-.", (8, 3, 2, 3)),
     ((0, (6, 1.5, 1, 1.5, 1, 1.5)), (10, 2, 2, 2, 2, 2)),
 )
-"""The dashes of lines in the order of use, for figures, and in pixels for pages."""
+"""The dash patterns of lines in the order of use: for Matplotlib, and in pixels for web pages."""
 REFERENCE_STYLE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "linewidth": 1.2}
-"""How the reference is drawn."""
+"""Line style of the reference."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """What tells one policy from the others, in every figure and on every page."""
+    """Colour, dash pattern and marker of a policy, the same in every figure and on every page."""
 
     colour: str
-    dash: int  # one of `DASHES`
-    marker: int  # one of `MARKERS`
-
-    @property
-    def line(self) -> dict[str, Any]:
-        """How its lines are drawn."""
-        return {"color": self.colour, "linestyle": DASHES[self.dash][0]}
-
-    @property
-    def point(self) -> dict[str, Any]:
-        """How its points are drawn."""
-        return {"color": self.colour, "marker": MARKERS[self.marker], "markersize": 5, "linestyle": ""}
+    dash: int  # index in `DASHES`
+    marker: int  # index in `MARKERS`
 
 
+KNOWN = (
+    "nmpc", "backstepping", "helm", "helm-any", "ekf", "los-pid", "clairvoyant",
+    "nmpc-adverse", "backstepping-tuned", "helm-small", "apg-cruise", "lqi", "ilos", "oracle",
+    "open-loop", "ppo-cruise", "helm-blind", "apg-slow", "integral", "adaptive", "smc-dob",
+)  # fmt: skip
+"""Policies that have the same look in every figure, in the order of `LOOKS`; the first seven have their own colour."""
 LOOKS = tuple(
     Look(COLOURS[i % len(COLOURS)], i // len(COLOURS), (i + i // len(COLOURS)) % len(MARKERS))
     for i in range(len(COLOURS) * len(DASHES))
 )
-"""The looks in the order of use: no two have the same line, no two the same point."""
+"""All looks in the order of use; no two have the same line, and no two have the same point."""
 
 
 def look(name: str, names: Sequence[str]) -> Look:
-    """Return the look of one of the names; beyond as many as there are they begin anew."""
-    return LOOKS[names.index(name) % len(LOOKS)]
+    """Return the look of a policy: its own if it is in `KNOWN`, else by its position among the others in `names`."""
+    if name in KNOWN:
+        return LOOKS[KNOWN.index(name)]
+    others = [other for other in names if other not in KNOWN]
+    return LOOKS[len(KNOWN) + others.index(name) % (len(LOOKS) - len(KNOWN))]
 
 
 _STYLE: Any = {
@@ -88,14 +87,14 @@ _STYLE: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return the context in which figures are made and saved."""
+    """Return the context manager in which figures are made and saved."""
     import matplotlib as mpl
 
     return mpl.rc_context(_STYLE)
 
 
 def to_png(figure: Figure) -> bytes:
-    """Return a figure as a PNG file's bytes; the same figure gives the same bytes."""
+    """Return a figure as the bytes of a PNG file; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with styled():
         figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -103,7 +102,7 @@ def to_png(figure: Figure) -> bytes:
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure of that size [inch] with rows x columns axes; options are those of `Figure.subplots`."""
+    """Return a figure of this size [inch] with rows x columns axes; the options are those of `Figure.subplots`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")

@@ -1,4 +1,4 @@
-"""Files that are whole or absent, one guard for all that is read, and the versions that files name."""
+"""Atomic writing of files, checked reading of CSV, JSON and YAML, and the versions of the libraries."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _LARGEST_JSON = 2**22
 _LARGEST_YAML = 2**16
 """Largest YAML file [bytes]: its parser takes 50 microseconds a byte."""
 DEEPEST = 50
-"""Most lists and tables inside of one another."""
+"""Largest nesting depth of lists and tables."""
 LARGEST_TREE = 2**20
-"""Most entries of a file, aliases counted as often as they are used."""
+"""Largest number of entries of a file, with YAML aliases expanded."""
 LARGEST_INTEGER = 2**1000
-"""Magnitude of an integer that a float can still hold."""
+"""Largest magnitude of an integer; a float can hold it."""
 
 
 def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return what is in a file of at most `largest` bytes.
+    """Return the content of a file of at most `largest` bytes.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is larger, or no regular file: a pipe or device may have no end.
+        ValueError: it is larger, or no regular file (a pipe or device may have no end).
     """
     if not stat.S_ISREG(file.stat().st_mode):
         raise ValueError(f"{file} is no regular file")
@@ -52,18 +52,18 @@ def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_text(file: Path, largest: int = LARGEST_FILE) -> str:
-    """Return the text of a UTF-8 file; raises as `read_bytes`, and ValueError where it is no such text."""
+    """Return the text of a UTF-8 file; raises as `read_bytes`, and ValueError for a text that is not UTF-8."""
     data = read_bytes(file, largest)
     with guarded(f"{file} is no UTF-8 text"):
         return data.decode()
 
 
 def read_json(file: Path) -> Any:
-    """Return the value that a JSON file holds.
+    """Return the value in a JSON file.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is no JSON, or not one that `checked_plain` takes; the message names the file.
+        ValueError: it is no JSON, or `checked_plain` refuses it; the message has the name of the file.
     """
     data = read_bytes(file, _LARGEST_JSON)
     with guarded(f"{file} is not valid JSON"):
@@ -71,7 +71,7 @@ def read_json(file: Path) -> Any:
 
 
 def read_csv(file: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file with one line of headings, empty entries left out; raises as `read_json`."""
+    """Return the rows of a CSV file with one line of headings, without empty entries; raises as `read_json`."""
     text = read_text(file)
     with guarded(f"{file} is not valid CSV"):
         rows = list(csv.DictReader(io.StringIO(text), restkey="", strict=True))
@@ -81,7 +81,7 @@ def read_csv(file: Path) -> list[dict[str, str]]:
 
 
 def read_yaml(file: Path) -> Any:
-    """Return the value that a YAML file holds; raises as `read_json`."""
+    """Return the value in a YAML file; raises as `read_json`."""
     text = read_text(file, _LARGEST_YAML)
     with guarded(f"{file} is not valid YAML"):
         return parse_yaml(text)
@@ -91,7 +91,7 @@ def parse_yaml(text: str) -> Any:
     """Return the value of a YAML text.
 
     Raises:
-        ValueError: it is no YAML, or not one that `checked_plain` takes, or its aliases make it too large.
+        ValueError: it is no YAML, `checked_plain` refuses it, or it is too large with its aliases expanded.
     """
     import yaml
 
@@ -99,28 +99,32 @@ def parse_yaml(text: str) -> Any:
         loader = yaml.SafeLoader(text)
         if (node := loader.get_single_node()) is None:
             return None
-        _weigh(node, {})
+        _count_entries(node, {})
         return checked_plain(loader.construct_document(node))
 
 
-def _weigh(node: Any, known: dict[int, float]) -> float:
-    """Return how many entries a YAML node has once its aliases are written out, before anything is written out."""
+def _count_entries(node: Any, known: dict[int, float]) -> float:
+    """Return the number of entries of a YAML node with its aliases expanded, without expanding them.
+
+    Raises:
+        ValueError: there are more than `LARGEST_TREE`.
+    """
     if id(node) not in known:
-        known[id(node)] = math.inf  # what it has if it is inside of itself
+        known[id(node)] = math.inf  # the count of a node that contains itself
         children = node.value if isinstance(node.value, list) else []
         pairs = (child if isinstance(child, tuple) else (child,) for child in children)
-        known[id(node)] = 1 + sum(_weigh(child, known) for pair in pairs for child in pair)
+        known[id(node)] = 1 + sum(_count_entries(child, known) for pair in pairs for child in pair)
     if known[id(node)] > LARGEST_TREE:
-        raise ValueError(f"its aliases make it larger than {LARGEST_TREE} entries")
+        raise ValueError(f"it has more than {LARGEST_TREE} entries with its aliases expanded")
     return known[id(node)]
 
 
 def checked_plain(value: Any) -> Any:
-    """Return a value that is made of tables, lists, numbers, strings and nothing else.
+    """Return the value itself if it consists of tables, lists, numbers, strings, truth values and None.
 
     Raises:
-        ValueError: it is not; or it is nested deeper than `DEEPEST`, has more than `LARGEST_TREE` entries, an integer
-            beyond `LARGEST_INTEGER`, or text that UTF-8 cannot hold.
+        ValueError: it has another type in it, is nested deeper than `DEEPEST`, has more than `LARGEST_TREE` entries, an
+            integer larger than `LARGEST_INTEGER`, or text that cannot be encoded as UTF-8.
     """
     left, count = [(value, 0)], 0
     while left:
@@ -135,14 +139,14 @@ def checked_plain(value: Any) -> Any:
         elif isinstance(entry, str):
             entry.encode()
         elif isinstance(entry, int) and abs(entry) > LARGEST_INTEGER:
-            raise ValueError(f"it holds an integer of {entry.bit_length()} bits")
+            raise ValueError(f"it contains an integer of {entry.bit_length()} bits")
         elif not isinstance(entry, (int, float, type(None))):
-            raise ValueError(f"it holds {entry!r}, which is no number, text, list or table")
+            raise ValueError(f"it contains {entry!r}, which is no number, text, list or table")
     return value
 
 
 def write_atomically(file: Path, content: str | bytes) -> None:
-    """Write a file so that no reader ever sees half of it, whatever is killed or loses its power in between."""
+    """Write a file atomically: after a crash or a power failure it has the old or the new content, never a part."""
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as stream:
@@ -156,7 +160,10 @@ def write_atomically(file: Path, content: str | bytes) -> None:
 
 
 def synchronise(folder: Path) -> None:
-    """Make what has been renamed in a folder last, where the system lets a folder be opened."""
+    """Write the entries of a folder to disk, so that a rename in it survives a power failure.
+
+    It does nothing on systems that cannot open a folder.
+    """
     with suppress(PermissionError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -166,12 +173,12 @@ def synchronise(folder: Path) -> None:
 
 
 def json_text(record: Any) -> str:
-    """Return strict JSON, null for every number that is not finite."""
+    """Return a record as strict JSON, with null for every number that is not finite."""
     return json.dumps(finite(record), indent=2, allow_nan=False) + "\n"
 
 
 def finite(value: Any) -> Any:
-    """Return the value with None for every number in it that is not finite."""
+    """Return a value in which every number that is not finite is replaced by None."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -180,7 +187,7 @@ def finite(value: Any) -> Any:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what the numbers depend on."""
+    """Return the versions of Python and of the libraries that the results depend on."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,

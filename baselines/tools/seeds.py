@@ -1,7 +1,6 @@
-"""Seeds of episodes by purpose, so that no policy is judged on episodes that it was made on.
+"""Ranges of seeds by purpose: no policy is evaluated on episodes that it was trained, tuned or chosen on.
 
-Episodes of the same scenario from different seeds have nothing in common. The frozen suites draw theirs from keys of
-their own, which no range here meets.
+Different seeds give independent episodes of a scenario. The frozen suites use keys outside of all these ranges.
 """
 
 from __future__ import annotations
@@ -13,25 +12,25 @@ class Seeds(NamedTuple):
     """A range of seeds."""
 
     first: int
-    end: int  # the first one that is no longer in it
+    end: int  # first seed after the range
 
     def holds(self, first: int, count: int = 1) -> bool:
-        """Return whether `count` seeds from a first one on are all in it."""
+        """Return whether the `count` seeds that begin with `first` are all in the range."""
         return self.first <= first and first + count <= self.end
 
 
 USERS = Seeds(0, 10_000_000)
-"""Evaluations with --seed, examples, and what users draw themselves."""
+"""For evaluations with --seed, examples, and users' own episodes."""
 TUNING = Seeds(10_000_000, 20_000_000)
-"""Gains are searched for on these."""
+"""For the search of gains."""
 TUNING_CHECK = Seeds(20_000_000, 30_000_000)
-"""Gains that were found are compared on these."""
+"""For the comparison of the gains that a search has found."""
 VALIDATION = Seeds(30_000_000, 40_000_000)
-"""Agents are chosen on these, where the suite has no validation episodes."""
+"""For the choice of agents, where the suite has no validation episodes."""
 STUDIES = Seeds(40_000_000, 140_000_000)
-"""Studies of the project measure on these."""
+"""For the studies of the project."""
 TRAINING = Seeds(1_000_000_000, 2**62)
-"""Agents are trained on these."""
+"""For the training of agents."""
 
 TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, STUDIES, TRAINING)
-"""Every range, in order; none overlaps another."""
+"""All ranges in ascending order; they do not overlap."""

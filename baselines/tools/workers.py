@@ -1,4 +1,4 @@
-"""Where tasks run: in this process, or in worker processes beside it."""
+"""Runs tasks in this process or in parallel worker processes."""
 
 from __future__ import annotations
 
@@ -21,93 +21,93 @@ from joblib.externals.loky.backend import resource_tracker as resource_tracker_o
 
 from baselines.tools.command_line import WorkerError
 
-DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # tasks at a time
-WATCH = 0.5  # [s] between two looks of a worker process at whether its parent is still there
+DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # number of parallel tasks
+WATCH = 0.5  # [s] interval at which a worker process checks that its parent still runs
 
 
 @dataclass(frozen=True)
 class Workers:
-    """How many tasks run at a time."""
+    """The number of tasks that run in parallel."""
 
     jobs: int = 1
 
     @classmethod
     def of(cls, jobs: int | None) -> Workers:
-        """Return the workers of the option --jobs; None: `DEFAULT_JOBS`.
+        """Return the workers for a value of the option --jobs; None: `DEFAULT_JOBS`.
 
         Raises:
-            ValueError: there are none.
+            ValueError: it is below 1.
         """
         if jobs is not None and jobs < 1:
             raise ValueError(f"--jobs is {jobs}; it must be 1 or more")
         return cls(jobs or DEFAULT_JOBS)
 
     def each_of(self, tasks: int) -> int:
-        """Return how many processes each of so many tasks may have, its own included, if all run at a time."""
+        """Return the number of processes for each of some parallel tasks, at least 1: its own process is included."""
         return max(1, self.jobs // max(1, tasks))
 
     def results(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """Yield what the function returns for each task's arguments, as it arrives.
+        """Yield the result of the function for each task's arguments, in the order of completion.
 
-        A worker gets one thread, since it shares its machine with the others, and ends with the process that started
-        it. A terminal sends Ctrl-C to all of them; only the starting process handles it.
+        A worker process computes with one thread, since it shares the machine with the others. It ends when its parent
+        ends. A terminal sends Ctrl-C to all processes; only the parent handles it.
 
         Raises:
-            WorkerError: a worker process was lost; what it did is to be run again.
+            WorkerError: a worker process ended unexpectedly; its task must be run again.
         """
         jobs = min(self.jobs, len(tasks))
         if jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
-            yield from _beside(function, tasks, jobs)
+            yield from _in_parallel(function, tasks, jobs)
 
 
-def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """Yield the results of so many worker processes on this machine."""
+def _in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
+    """Yield the results of `jobs` worker processes."""
     calls, found = [joblib.delayed(function)(*task) for task in tasks], None
     each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
-    with _losses_as_worker_errors():
+    with _crashes_as_worker_errors():
         try:
             with joblib.parallel_config(backend="loky", **each), _interrupts_blocked():
                 found = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
         except KeyboardInterrupt as interrupt:
             if found is not None:
-                found.throw(interrupt)  # one that is left alone ends its workers too, but warns of what is lost
+                found.throw(interrupt)  # garbage collection would end the workers too, but with a warning
             raise
         yield from found
 
 
 class Elsewhere:
-    """An object in a worker process of its own, whose methods are called from here; see `Workers.results`.
+    """An object in its own worker process, whose methods are called from this process; see `Workers.results`.
 
-    It ends with `close`, or with the process that has made it.
+    The process ends after `close`, or when its parent ends.
     """
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
-        """Begin to make an object; what that raises the first call does."""
+        """Begin to make the object `make(*arguments)`; the first call raises the exception if this fails."""
         spawn = multiprocessing.get_context("spawn")
-        with _interrupts_blocked():  # not joblib's processes: one whose memory grows is replaced there by another
+        with _interrupts_blocked():  # joblib would replace a process whose memory grows, and lose the object
             self._process = futures.ProcessPoolExecutor(1, spawn, initializer=_end_with, initargs=(os.getpid(),))
             self._made = self._process.submit(_keep, make, arguments)
 
     def call(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Begin to call a method, behind all calls before; what is returned waits for what it returns.
+        """Begin to call a method, after all earlier calls, and return a function that waits for its result.
 
         Raises:
-            WorkerError: the process was lost, here or where it is waited for.
+            WorkerError: the process ended unexpectedly; the returned function can raise it too.
         """
-        with _losses_as_worker_errors():
+        with _crashes_as_worker_errors():
             answer = self._process.submit(_call, method, arguments)
 
         def wait() -> Any:
-            with _losses_as_worker_errors():
+            with _crashes_as_worker_errors():
                 self._made.result()
                 return answer.result()
 
         return wait
 
     def close(self) -> None:
-        """End the process, behind the call that it is at."""
+        """End the process after the call that is running."""
         self._process.shutdown(cancel_futures=True)
 
 
@@ -124,27 +124,27 @@ def _call(method: str, arguments: Sequence[Any]) -> Any:
 
 
 @contextmanager
-def _losses_as_worker_errors() -> Iterator[None]:
-    """Raise `WorkerError` where a pool of processes, joblib's or Python's, has lost a worker."""
+def _crashes_as_worker_errors() -> Iterator[None]:
+    """Raise `WorkerError` if a worker process of a pool, joblib's or Python's, ends unexpectedly."""
     try:
         yield
     except BrokenProcessPool as error:
         reason = str(error).partition(chr(10))[0]
-        raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+        raise WorkerError(f"a worker process ended unexpectedly, perhaps out of memory: {reason}") from error
 
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
     """Block SIGINT in the processes that start in this block; this process handles it at the end of the block.
 
-    A child inherits the blocked signal before its first line runs. A handler that the child installs would come too
-    late: a worker imports for seconds first, and an interrupt in between is a traceback.
+    A child process inherits the blocked signal before its first line runs. A handler that the child installs would come
+    too late: a worker imports modules for seconds first, and an interrupt at that time prints a traceback.
     """
-    if sys.platform == "win32":  # has no masks
+    if sys.platform == "win32":  # it has no signal masks
         yield
         return
     for tracker in (resource_tracker_of_joblib, resource_tracker):
-        tracker.ensure_running()  # now: starting it lifts the block
+        tracker.ensure_running()  # before the block, since starting it unblocks the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -153,7 +153,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 def _end_with(parent: int) -> None:
-    """End this worker process when its parent ends, even if the parent is killed."""
+    """Start a thread that ends this worker process when its parent ends, even if the parent is killed."""
 
     def watch() -> None:
         while os.getppid() == parent:

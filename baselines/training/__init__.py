@@ -1,1 +1,1 @@
-"""Training: adapters to the libraries that learn."""
+"""Train agents: analytic policy gradient and Stable-Baselines3."""

@@ -1,7 +1,7 @@
-"""Where a training begins: with an agent, and for a vehicle.
+"""Train an agent further, and train for a vehicle.
 
-An agent sees everything in the units of the vehicle that it steers (`auv_gym.physics.units`), so a training for a
-vehicle takes place in those units: scenarios are made to fit the vehicle, and then seen in its own units.
+The inputs of an agent are in the units of its vehicle (`auv_gym.physics.units`). For a training the scenarios are
+adapted to the vehicle and converted to its units.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from baselines.agents.names import agent_folder, shipped_agents
 from baselines.tools.files import read_bytes
 from baselines.training.config import Config, Origin
 
-ALGO = "apg"  # the algorithm that goes on with an agent
+ALGO = "apg"  # the algorithm that can train an agent further
 OF_AGENT = ("hidden_size", "memory", "preview", "integrals", "fine", "filters")
-"""Hyper-parameters that an agent's weights are made for."""
+"""Hyper-parameters that the shapes of an agent's weights depend on."""
 
 
 @dataclass(frozen=True)
 class InitialAgent:
-    """An agent that a training begins with."""
+    """The agent that a training starts from."""
 
     origin: Origin
     agent: Agent
@@ -41,22 +41,22 @@ class InitialAgent:
 
         Raises:
             OSError: a file cannot be read.
-            ValueError: there is no such agent, or none that a training can begin with.
+            ValueError: the agent does not exist, or was trained by another algorithm than `ALGO`.
         """
         if (folder := agent_folder(name)) is None:
             known = ", ".join(shipped_agents())
-            raise ValueError(f"there is no agent {name!r} to begin with; allowed are the folder of one, or {known}")
+            raise ValueError(f"unknown agent {name!r}; allowed are the folder of an agent, or {known}")
         agent = Agent.load(folder)
         algo = agent.training.get("config", {}).get("algo")
         if algo != ALGO:
             raise ValueError(
-                f"agent {name!r} was trained by {algo or 'something else'}; a training can begin with one of {ALGO}, "
-                "such as helm"
+                f"agent {name!r} was trained by {algo or 'another algorithm'}; a training can start only from an agent "
+                f"of {ALGO}, such as helm"
             )
         return cls(Origin(name, weights_digest(folder)), agent, Config.from_dict(agent.training["config"]))
 
     def check(self, expert: str | None, authority: Sequence[float], changes: Mapping[str, Any]) -> None:
-        """Raise ValueError where options contradict the agent.
+        """Raise ValueError if options contradict the agent.
 
         Args:
             expert: of `--expert`, None if it is not given.
@@ -79,31 +79,31 @@ def weights_digest(folder: Path) -> str:
 
 
 def loaded(origin: Origin) -> Agent:
-    """Return the agent that a training begins with.
+    """Return the agent that a training starts from.
 
     Raises:
         OSError: a file cannot be read.
-        ValueError: it is gone, or another one by now.
+        ValueError: the agent does not exist any more, or has other weights.
     """
     folder = agent_folder(origin.agent)
     if folder is None or weights_digest(folder) != origin.weights_sha256:
-        raise ValueError(f"the agent {origin.agent!r} that this training is to begin with is another one by now")
+        raise ValueError(f"the agent {origin.agent!r} that this training starts from has changed or was deleted")
     return Agent.load(folder)
 
 
 def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tuple[str, ...]]:
-    """Return a mixture whose scenarios fit a vehicle, and why some of them were left out.
+    """Return the scenarios of a mixture adapted to a vehicle, and the reasons for those that are left out.
 
     Raises:
-        ValueError: a scenario is not one of the paper's vehicle, or none is left.
+        ValueError: a scenario is not of the paper's vehicle, or no scenario can be adapted.
     """
     found: list[tuple[Scenario, float]] = []
     reasons: list[str] = []
     for scenario, weight in mixture:
         if scenario.vehicle != PAPER_VEHICLE:
             raise ValueError(
-                f"scenario {scenario.name!r} has a vehicle of its own, so it cannot be made to fit another one; leave "
-                "out --vehicle, or name scenarios of the paper's vehicle"
+                f"scenario {scenario.name!r} has its own vehicle, so it cannot be adapted to another one; omit "
+                "--vehicle, or use scenarios of the paper's vehicle"
             )
         try:
             found.append((changed(scenario, vehicle_model), weight))
@@ -115,9 +115,10 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
 
 
 def in_own_units(mixture: Mixture) -> tuple[Mixture, Vehicle | None]:
-    """Return a mixture in the units of its vehicles, with the same integration steps, and the one vehicle they steer.
+    """Return a mixture in the units of its vehicles, with equal integration steps, and the vehicle of all scenarios.
 
-    That is None for the paper's vehicle, or where there are several. Without other vehicles nothing is changed.
+    The vehicle is None for the paper's vehicle, and if the scenarios have several. If all scenarios are of the paper's
+    vehicle, the mixture is returned unchanged.
 
     Raises:
         ValueError: see `auv_gym.scenarios.fitting.in_vehicle_units`.

@@ -1,7 +1,7 @@
-"""Checkpoints as bytes: what a run goes on from, behind its SHA-256, with the code of the classes whose objects it has.
+"""Checkpoints as bytes: SHA-256, digests of the code of the pickled classes, pickled objects.
 
-A checkpoint holds pickled objects. One of a class whose code has changed since would be restored without an error, or
-with one of the strangest, and be none of the two: so it is refused before anything is unpickled.
+If the code of a class has changed since, unpickling its objects could give wrong objects without an error. Such a
+checkpoint is rejected before anything is unpickled.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 DIGEST = hashlib.sha256().digest_size
 """Bytes in front of a checkpoint: the SHA-256 of the rest."""
 OURS = ("auv_gym", "baselines")
-"""Packages whose classes are compared; of the others the versions are what they are."""
+"""Packages whose classes are compared."""
 UNREADABLE = (
     AttributeError,
     EOFError,
@@ -34,14 +34,14 @@ UNREADABLE = (
     ValueError,
     UnpicklingError,
 )
-"""What is raised where a checkpoint is damaged, or of other code or other libraries."""
+"""Exceptions that a damaged checkpoint, or one of other versions of the libraries, can raise."""
 
 
 def packed(record: Mapping[str, Any]) -> bytes:
     """Return a record as a checkpoint's bytes.
 
     Args:
-        record: whatever can be pickled.
+        record: objects that can be pickled.
     """
     import torch
 
@@ -57,8 +57,8 @@ def unpacked(content: bytes) -> dict[str, Any]:
     """Return the record of a checkpoint's bytes.
 
     Raises:
-        ValueError: the bytes are damaged, or hold objects of a class that has changed since; nothing is unpickled then.
-        Exception: one of `UNREADABLE`, where libraries have changed.
+        ValueError: the bytes are damaged, or the code of a pickled class has changed; nothing is unpickled then.
+        Exception: one of `UNREADABLE`, if libraries have changed.
     """
     import torch
 
@@ -67,7 +67,7 @@ def unpacked(content: bytes) -> dict[str, Any]:
         raise ValueError("it is damaged, its SHA-256 differs")
     size = int.from_bytes(data[:8], "big")
     if not 0 < size <= len(data) - 8:
-        raise ValueError("it is of an older version, which did not keep what its classes were")
+        raise ValueError("it is of an older version, without digests of its classes")
     kept, pickled = json.loads(data[8 : 8 + size]), data[8 + size :]
     if changed := [name for name, code in kept.items() if code_of(name) != code]:
         more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
@@ -77,7 +77,7 @@ def unpacked(content: bytes) -> dict[str, Any]:
 
 
 def names_in(pickled: bytes) -> set[str]:
-    """Return which of our classes and functions a file of `torch.save` names, as "module name"."""
+    """Return the classes and functions of `OURS` that a file of `torch.save` names, as "module name"."""
     with zipfile.ZipFile(io.BytesIO(pickled)) as archive:
         data = next(archive.read(name) for name in archive.namelist() if name.endswith("data.pkl"))
     named = {str(argument) for opcode, argument, _ in pickletools.genops(data) if opcode.name == "GLOBAL"}
@@ -85,10 +85,10 @@ def names_in(pickled: bytes) -> set[str]:
 
 
 def code_of(name: str) -> str | None:
-    """Return the SHA-256 of the code of a class or function, comments and docstrings left out; None if it is gone.
+    """Return the SHA-256 of the code of a class or function without comments and docstrings; None if it is missing.
 
     Args:
-        name: its module and its name in it, with a blank between them.
+        name: its module and its name in the module, separated by a space.
     """
     module, _, path = name.partition(" ")
     try:

@@ -1,4 +1,4 @@
-"""A training from request to agent: runs, progress, learning curve, files."""
+"""Run the trainings of a request: progress, learning curve, agent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from baselines.training.run_folder import AGENT_FOLDER, RunFolder, TrainerState,
 def train(request: Request) -> int:
     """Run the trainings of a request, write their folders and return the exit status.
 
-    Progress goes to stderr: a live line on a terminal, else a line for each validation.
+    Progress is printed to stderr: a progress bar on a terminal, else a line for each validation.
     """
     several = len(request.folders) > 1
     processes = request.workers.each_of(len(request.folders))
@@ -45,7 +45,7 @@ def train(request: Request) -> int:
             status = max(status, each)
     except (WorkerError, KeyboardInterrupt) as error:
         reason = str(error) or "interrupted"
-        print(f"{reason}; the same command with --resume goes on", file=sys.stderr)
+        print(f"{reason}; repeat the command with --resume to continue", file=sys.stderr)
         return FAILED
     if several and status == DONE:
         rows = [checked(partial(read_progress, folder)) for folder in request.folders]
@@ -56,9 +56,10 @@ def train(request: Request) -> int:
 def train_one(
     config: Config, folder: Path, command: str, one_of_several: bool = False, processes: int = 1
 ) -> tuple[int, str]:
-    """Train one agent in its folder; return the exit status, and the line that says what has come of it.
+    """Train one agent in its folder; return the exit status and a message.
 
-    A worker that is lost raises WorkerError.
+    Raises:
+        WorkerError: a worker process has died.
     """
     label = f"{folder.name}: " if one_of_several else ""
     if (folder / AGENT_FOLDER).exists():
@@ -78,7 +79,7 @@ def train_one(
 
 
 def _finish(run: RunFolder, agent: Agent, command: str) -> float:
-    """Write learning curve and agent, the latter last and at once; return its score on the validation episodes."""
+    """Write the learning curve, then the agent; return the agent's score on the validation episodes."""
     run.close()
     kept, curve = run.validated, learning_curve([read_progress(run.folder)])
     write_atomically(run.folder / CURVE_FILE, curve)
@@ -97,7 +98,7 @@ def _finish(run: RunFolder, agent: Agent, command: str) -> float:
 
 @contextmanager
 def _live(config: Config) -> Iterator[Callable[[TrainerState], None]]:
-    """Yield what shows the states of one run on stderr."""
+    """Yield a function that displays the state of a run on stderr."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         yield _plain("")
@@ -109,11 +110,7 @@ def _live(config: Config) -> Iterator[Callable[[TrainerState], None]]:
 
 
 def _plain(label: str) -> Callable[[TrainerState], None]:
-    """Return what prints a line to stderr for each validation.
-
-    Args:
-        label: begins each line.
-    """
+    """Return a function that prints a line to stderr for each validation; `label` begins each line."""
     printed = 0
 
     def show(state: TrainerState) -> None:
@@ -132,11 +129,11 @@ def _text(state: TrainerState) -> str:
 
 
 def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:
-    """Return a picture of the score on the validation episodes over control steps and over wall time, PNG.
+    """Return a PNG image of the score on the validation episodes over control steps and over wall time.
 
     Args:
         seeds: for each training the rows of its progress.csv.
-        names: of the trainings, for the legend; none for a single one.
+        names: of the trainings, for the legend; empty for a single training.
     """
     figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
     axes[0].set_ylabel("score (0: expert, 1: oracle)")

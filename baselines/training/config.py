@@ -1,4 +1,4 @@
-"""What determines a training run, as one checked value that JSON holds."""
+"""The configuration of a training run, checked and convertible to JSON."""
 
 from __future__ import annotations
 
@@ -26,39 +26,39 @@ ALGORITHMS: Mapping[str, str] = {
     "td3": "baselines.training.sb3.trainer",
     "tqc": "baselines.training.sb3.trainer",
 }
-"""The module of each algorithm: `check(config)` raises ValueError for what it cannot train, `train(run)` does.
+"""Module of each algorithm. Its `check(config)` raises ValueError for a wrong configuration; `train(run)` trains.
 
-apg: analytic policy gradient, back-propagation through the simulator; the others are Stable-Baselines3's.
+apg is the analytic policy gradient, back-propagation through the simulator; the others are from Stable-Baselines3.
 """
 LARGEST_SEED = 10_000  # of a run
-_LANES = 2**20  # seeds reserved for the vehicles of one run
+_SEEDS_PER_RUN = 2**20  # seeds reserved for the vehicles of one run
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The agent that a training begins with."""
+    """The agent that a training starts from."""
 
     agent: str  # its name or folder
-    weights_sha256: str  # of its weights, so that a run does not go on with those of another one
+    weights_sha256: str  # identifies its weights, in case the agent is replaced before the run is resumed
 
 
 @dataclass(frozen=True)
 class Config:
-    """A training run: the same one, on as many threads with the same libraries, gives the same agent.
+    """The configuration of a training run; it determines the agent for given libraries and number of threads.
 
     Raises:
-        ValueError: an entry is not what it must be; the message says what is allowed.
+        ValueError: an entry is wrong; the message says what is allowed.
     """
 
     algo: str = "apg"  # one of `ALGORITHMS`
-    scenarios: tuple[tuple[Scenario, float], ...] = ()  # what is trained on, with weights
-    expert: str = EXPERT  # name of the policy whose action is corrected, or `zero.NO_EXPERT`
+    scenarios: tuple[tuple[Scenario, float], ...] = ()  # training scenarios with weights
+    expert: str = EXPERT  # name of the policy whose action is corrected, or `open_loop.NO_EXPERT`
     authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)  # of the algorithm, plain JSON values
-    origin: Origin | None = None  # what it begins with, None: a network that corrects nothing yet
-    steers: Vehicle | None = None  # in SI units, the one whose own units the scenarios are in; None: the paper's
+    origin: Origin | None = None  # the initial agent; None: a new network, whose correction is zero
+    steers: Vehicle | None = None  # vehicle in SI units in whose units the scenarios are; None: the paper's
 
     def __post_init__(self) -> None:
         if self.algo not in ALGORITHMS:
@@ -79,7 +79,7 @@ class Config:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The known vehicle of all scenarios and of the expert, in their units; None where they differ."""
+        """The nominal vehicle of all scenarios and of the expert, in their units; None if they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property
@@ -89,20 +89,20 @@ class Config:
 
     @property
     def episode_seed(self) -> int:
-        """The seed of the training environment: vehicle i gets this + i, no other run or suite the same."""
-        return TRAINING.first + self.seed * _LANES
+        """Seed of the training environment; vehicle i has this + i. No other run or suite has the same seeds."""
+        return TRAINING.first + self.seed * _SEEDS_PER_RUN
 
-    def lanes(self, n: int) -> list[Scenario]:
-        """Return the scenarios of n vehicles side by side, in proportion to their weights, each at least once.
+    def env_scenarios(self, n: int) -> list[Scenario]:
+        """Return the scenarios of n sub-environments, in proportion to their weights, each at least once.
 
         Raises:
-            ValueError: there are fewer vehicles than scenarios.
+            ValueError: n is smaller than the number of scenarios.
         """
         if n < len(self.scenarios):
             raise ValueError(f"{n} vehicles are too few for {len(self.scenarios)} scenarios; raise n_envs")
         total = math.fsum(weight for _, weight in self.scenarios)
         counts = [1] * len(self.scenarios)
-        while sum(counts) < n:  # one more where most is missing
+        while sum(counts) < n:  # largest remainder first
             missing = [n * weight / total - count for (_, weight), count in zip(self.scenarios, counts, strict=True)]
             counts[missing.index(max(missing))] += 1
         return [scenario for (scenario, _), count in zip(self.scenarios, counts, strict=True) for _ in range(count)]
@@ -119,17 +119,17 @@ class Config:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Config:
-        """Return the configuration of a dict as `to_dict` gives it.
+        """Return the configuration of a dict from `to_dict`.
 
         Raises:
-            ValueError: an unknown or wrong entry, named together with what is allowed.
+            ValueError: an entry is unknown or wrong; the message says what is allowed.
         """
         same = {"hyperparameters": dict, "expert": str, "algo": str}
         return from_record(cls, record, "configuration", {"scenarios": _scenarios_of, "authority": tuple, **same})
 
 
 def check_integer(name: str, value: object, least: int, most: int) -> None:
-    """Raise ValueError unless a value is an integer within its bounds, both allowed."""
+    """Raise ValueError unless a value is an integer in [least, most]."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise ValueError(f"{name} is {value!r}; it must be an integer in [{least}, {most}]")
 
@@ -145,7 +145,7 @@ def _check_scenarios(scenarios: Sequence[tuple[Scenario, float]]) -> None:
         if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 < weight <= 1000:
             raise ValueError(f"the weight of scenario {scenario.name} is {weight!r}; it must be a number in (0, 1000]")
     if len({scenario.substeps for scenario, _ in scenarios}) > 1:
-        raise ValueError("the scenarios differ in substeps; trained side by side they must have the same number")
+        raise ValueError("the scenarios differ in substeps; all training scenarios must have the same number")
 
 
 def _scenarios_of(entries: Any) -> tuple[tuple[Scenario, float], ...]:

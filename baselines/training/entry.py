@@ -9,11 +9,11 @@ from baselines.training.options import PROGRAM, Options
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train as the arguments say and return the exit status.
+    """Run the command and return its exit status.
 
     Raises:
-        ModuleNotFoundError: what training needs is not installed.
-        UsageError: the arguments do not make sense.
+        ModuleNotFoundError: a library for training is not installed.
+        UsageError: an argument is wrong.
     """
     options = parse(Options, arguments, PROGRAM)
     from baselines.training.command import train

@@ -1,4 +1,4 @@
-"""What to train: a command line's words, checked and resolved before anything is written."""
+"""The request of a command line, checked completely before anything is written."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from baselines.training.options import Options
 from baselines.training.run_folder import AGENT_FOLDER, LOCK, read_config
 
 DEFAULT_AUTHORITY = (0.5,)  # largest correction of surge and yaw, a fraction of the limits
-DEFAULT_SCENARIO = ("cruise",)  # words of `--scenario` where none is given
+DEFAULT_SCENARIO = ("cruise",)  # of `--scenario`
 DEFAULT_TIMESTEPS = 1_000_000  # control steps, summed over vehicles
 
 
 @dataclass(frozen=True)
 class Request:
-    """Trainings that can run: configurations that differ in the seed, a folder each."""
+    """Checked trainings: configurations that differ in the seed, and a folder for each."""
 
     configs: tuple[Config, ...]
     folders: tuple[Path, ...]
     out: Path
     workers: Workers
-    command: str = ""  # as the user gave it
+    command: str = ""  # command line of the user
 
     @classmethod
     def of(cls, options: Options, command: str = "") -> Request:
-        """Return the request of a command line's options; its folders exist and are writable then.
+        """Return the request of the options of a command line, and create its folders.
 
         Raises:
             UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
@@ -65,13 +65,13 @@ class Request:
 
 
 def _configs(options: Options) -> tuple[Config, ...]:
-    """Return the configuration of each seed, which can be trained.
+    """Return the checked configuration of each seed.
 
-    What the options leave open the agent says that it begins with, or the hyper-parameters.
+    Defaults of the options come from the initial agent, else from the hyper-parameters.
 
     Raises:
         OSError: a file cannot be read.
-        UsageError: a word of `--scenario` is wrong.
+        UsageError: `--scenario` is wrong.
         ValueError: another option is wrong.
     """
     if options.seeds < 1:
@@ -80,7 +80,7 @@ def _configs(options: Options) -> tuple[Config, ...]:
         raise ValueError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
     begun = None if options.from_ is None else InitialAgent.of(options.from_)
     if begun and options.algo != ALGO:
-        raise ValueError(f"--from goes on by the analytic gradient, not by {options.algo}; leave out --algo")
+        raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
     found = load_hyperparameters(
         options.hyperparameters or shipped(options.algo), FINE_TUNING_FILE_NAME if begun else TRAINED_ENV
     )
@@ -102,7 +102,7 @@ def _configs(options: Options) -> tuple[Config, ...]:
 
 
 def _scenarios(options: Options, begun: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
-    """Return what is trained on, and the vehicle in whose units that is; say on stderr what is left out."""
+    """Return the training scenarios and the vehicle in whose units they are; note left-out scenarios on stderr."""
     if begun and not options.scenario:
         if begun.config.steers is not None and options.vehicle is None:
             return begun.config.scenarios, begun.config.steers
@@ -110,7 +110,7 @@ def _scenarios(options: Options, begun: InitialAgent | None) -> tuple[Mixture, V
     else:
         given = resolved(options.scenario or DEFAULT_SCENARIO)
     if options.vehicle is not None:
-        as_vehicle(options.vehicle)  # refuses what is no vehicle
+        as_vehicle(options.vehicle)  # raises ValueError for an unknown vehicle
         if (vehicle_model := as_vehicle_model(options.vehicle)) is not None:
             given, reasons = fitted(given, vehicle_model)
             if reasons:
@@ -119,7 +119,7 @@ def _scenarios(options: Options, begun: InitialAgent | None) -> tuple[Mixture, V
 
 
 def _name(options: Options) -> str:
-    """Return the name of the folder of a run whose options name none."""
+    """Return the default name of a run's folder."""
     what = "-".join(
         Path(_split(word)[0]).stem for word in options.scenario or (() if options.from_ else DEFAULT_SCENARIO)
     )
@@ -128,10 +128,10 @@ def _name(options: Options) -> str:
 
 
 def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
-    """Return the scenarios with weights that a command line's words name.
+    """Return the scenarios and weights of the words of `--scenario`.
 
     Raises:
-        UsageError: a word names none, or a weight is no positive number.
+        UsageError: a scenario is unknown, or a weight is not a positive number.
     """
     found: list[tuple[Scenario, float]] = []
     for word in words:
@@ -144,7 +144,7 @@ def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
 
 
 def _split(word: str) -> tuple[str, float]:
-    """Return name and weight of NAME or NAME:WEIGHT."""
+    """Return the name and weight of NAME or NAME:WEIGHT."""
     name, colon, text = word.rpartition(":")
     if not colon or word.endswith((".toml", ".json")):
         return word, 1.0
@@ -163,7 +163,7 @@ def check(config: Config) -> None:
 
 
 def _check_contents(config: Config, folder: Path, resume: bool) -> None:
-    """Raise UsageError if a folder holds something other than a run to go on with."""
+    """Raise UsageError if a folder holds something other than a run that can be continued."""
     there = checked(partial(read_config, folder))
     if there is None:
         if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
@@ -177,6 +177,6 @@ def _check_contents(config: Config, folder: Path, resume: bool) -> None:
     if not resume:
         state = "finished" if finished else "unfinished"
         advice = (
-            "choose another folder, or delete it" if finished else "add --resume to go on, or choose another folder"
+            "choose another folder, or delete it" if finished else "add --resume to continue, or choose another folder"
         )
         raise UsageError(f"--out {folder} holds this run already, {state}; {advice}")

@@ -1,4 +1,4 @@
-"""One training run in its folder: what it is, how far it is, what it has logged, and where to go on."""
+"""The folder of a training run: configuration, progress, validations and checkpoint."""
 
 from __future__ import annotations
 
@@ -32,34 +32,34 @@ PROGRESS = "progress.csv"  # file of the learning curve
 CHECKPOINT = "checkpoint.pt"  # file that a run is resumed from
 AGENT_FOLDER = "agent"  # folder of the trained agent
 EVENTS = "tensorboard"  # folder of TensorBoard's files
-LOCK = ".lock"  # file that the process holds which writes in the run folder; left behind, it means nothing
+LOCK = ".lock"  # file that the writing process locks; without a lock on it the file has no meaning
 VALIDATIONS = 20
-"""How often in a run an agent is validated; as often a checkpoint is kept."""
+"""Number of validations of the agent in a run; a checkpoint is saved with each."""
 
 
 class TrainingError(Exception):
-    """A training cannot go on; the message says why and what to change."""
+    """A training cannot continue; the message says why, and what to change."""
 
 
 @dataclass(frozen=True)
 class TrainerState:
-    """How far a run is."""
+    """The progress of a run."""
 
     timesteps: int  # control steps, summed over vehicles
     total: int
     scores: tuple[float, ...]  # of all validations so far
-    kept: float | None  # that of the agent that is kept; None before the first validation
-    seconds: float  # wall time, that before a resumption included
+    kept: float | None  # score of the selected agent; None before the first validation
+    seconds: float  # wall time, including that before a resumption
     seconds_left: float | None
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a run folder, made if need be, for this process alone; a process that is killed lets go of it.
+    """Lock a run folder for this process, and create it if necessary; the lock ends with the process.
 
     Raises:
         OSError: it cannot be written to.
-        UsageError: another process holds it, or its file system knows no locks.
+        UsageError: another process has the lock, or the file system has no locks.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -67,31 +67,31 @@ def locked(folder: Path) -> Iterator[None]:
     except Timeout:
         raise UsageError(f"another training writes to {folder}; wait for it, or choose another folder") from None
     except NotImplementedError as error:
-        raise UsageError(f"nothing can be locked where {folder} is; choose a folder on another file system") from error
+        raise UsageError(f"the file system of {folder} has no locks; choose a folder on another one") from error
     with held:
         yield
 
 
 class RunFolder:
-    """A training run, which a trainer logs to and goes on from.
+    """The log, validations and checkpoints of a training run.
 
-    A trainer calls `load_checkpoint` once before anything else, then `log`, `validate` and `save_checkpoint`. One
-    process writes to the folder, see `locked`.
+    A trainer first calls `load_checkpoint` once, then `log`, `validate` and `save_checkpoint`. Only one process may
+    write to the folder, see `locked`.
 
     Args:
-        config: what determines the run.
-        folder: made if need be; what it holds must be of the same configuration.
-        on_state: called whenever something is known about how far the run is.
-        processes: that a trainer may compute in, this one included; what is learned does not depend on it.
+        config: of the run.
+        folder: created if necessary; a run in it must have the same configuration.
+        on_state: called with the progress of the run.
+        processes: number of processes for a trainer, including this one; the result does not depend on it.
 
     Attributes:
-        keeps_last: whether the agent of the last validation is kept in place of that of the best one.
-        weights: of the agent that is kept; a checkpoint holds them too.
+        keeps_last: whether the agent of the last validation is selected instead of that of the best one.
+        weights: of the selected agent; they are also in the checkpoint.
 
     Raises:
         OSError: the folder cannot be written to.
         TrainingError: the folder holds another run.
-        ValueError: what it holds is damaged.
+        ValueError: a file of the folder is damaged.
     """
 
     def __init__(
@@ -109,8 +109,8 @@ class RunFolder:
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
-        for left in folder.glob(".*.tmp"):  # of a run that was killed
-            left.unlink()
+        for file in folder.glob(".*.tmp"):  # of a run that was killed
+            file.unlink()
         if (there := read_config(folder)) is None:
             folder.mkdir(parents=True, exist_ok=True)
             write_atomically(folder / CONFIG, json_text(config.to_dict()))
@@ -119,22 +119,22 @@ class RunFolder:
 
     @cached_property
     def validation(self) -> Validation:
-        """The validation episodes of the run's scenarios; few, and without the oracle, if it begins with an agent."""
+        """The validation episodes of the run's scenarios; with an initial agent few, and without the oracle."""
         brief = self.config.origin is not None
         cells = [validation_cell(scenario, brief) for scenario, _ in self.config.scenarios]
         return Validation(cells, self.folder, brief)
 
     @property
     def seconds(self) -> float:
-        """Wall time that the run has taken [s], that before a resumption included."""
+        """Wall time of the run [s], including that before a resumption."""
         return self._earlier + time.monotonic() - self._begin
 
     def log(self, timesteps: int, **values: float) -> None:
-        """Add a row to progress.csv and TensorBoard, and report how far the run is.
+        """Add a row to progress.csv and TensorBoard, and report the progress.
 
         Args:
-            timesteps: control steps so far, summed over vehicles; a second row at the same number joins the first.
-            values: what to log, by name.
+            timesteps: control steps so far, summed over vehicles; a second row with the same number extends the first.
+            values: to log, by name.
 
         Raises:
             OSError: the folder cannot be written to.
@@ -149,7 +149,7 @@ class RunFolder:
         self.report(timesteps)
 
     def report(self, timesteps: int) -> None:
-        """Report how far the run is."""
+        """Call `on_state` with the progress of the run."""
         scores = tuple(row["score"] for row in self._rows if "score" in row)
         done, total = timesteps - self._start, self.config.timesteps
         left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
@@ -157,12 +157,13 @@ class RunFolder:
         self._on_state(TrainerState(timesteps, total, scores, kept, self.seconds, left))
 
     def validate(self, agent: Agent, timesteps: int) -> None:
-        """Log the score of an agent on the validation episodes, 0 the expert, 1 the oracle, and keep the best agent.
+        """Log the score of an agent on the validation episodes, and select the best agent.
 
-        Of equals the first is kept; with `keeps_last` always the last one.
+        The score is 0 for the expert and 1 for the oracle. Of equal scores the first is selected; with `keeps_last` it
+        is always the last one.
 
         Args:
-            agent: as it is now.
+            agent: the current one.
             timesteps: see `log`.
 
         Raises:
@@ -175,15 +176,15 @@ class RunFolder:
 
     @property
     def validated(self) -> dict[str, float]:
-        """What was logged of the validation whose agent is kept: the best one, or the last one with `keeps_last`."""
+        """The logged row of the best validation; with `keeps_last` of the last one."""
         rows = [row for row in self._rows if "score" in row]
         return rows[-1] if self.keeps_last else max(rows, key=lambda row: (not math.isnan(row["score"]), row["score"]))
 
     def save_checkpoint(self, state: Mapping[str, Any]) -> None:
-        """Keep what it takes to go on, in place of the last checkpoint; a kill at any moment leaves one of them whole.
+        """Write a checkpoint and replace the last one atomically.
 
         Args:
-            state: whatever can be pickled; its entry "timesteps" says how far the run is.
+            state: objects that can be pickled; its entry "timesteps" is the number of control steps so far.
 
         Raises:
             OSError: the folder cannot be written to.
@@ -192,7 +193,7 @@ class RunFolder:
         write_atomically(self.folder / CHECKPOINT, packed({**record, "state": dict(state)}))
 
     def load_checkpoint(self) -> dict[str, Any] | None:
-        """Return the state of the last checkpoint, None if there is none; what was logged after it is forgotten.
+        """Return the state of the last checkpoint, None if there is none; later rows of the log are dropped.
 
         Raises:
             OSError: the folder cannot be read.
@@ -214,22 +215,22 @@ class RunFolder:
 
     @contextmanager
     def restoring(self) -> Iterator[None]:
-        """Say what is to be done where a checkpoint cannot be gone on from; a trainer takes up its state within.
+        """Convert exceptions of an unreadable checkpoint; a trainer restores its state within this context.
 
         Raises:
-            TrainingError: in place of what damage, other code or other libraries raise.
+            TrainingError: instead of one of `UNREADABLE`.
         """
         try:
             yield
         except UNREADABLE as error:
             what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
             raise TrainingError(
-                f"cannot go on from {self.folder / CHECKPOINT}: {what}; begin again in another folder, or go on with "
-                "the code and the libraries that wrote it"
+                f"cannot resume from {self.folder / CHECKPOINT}: {what}; start again in another folder, or use the "
+                "code and the libraries that wrote it"
             ) from error
 
     def close(self) -> None:
-        """Write out what TensorBoard still holds."""
+        """Write the buffered events of TensorBoard."""
         if "_events" in self.__dict__:
             self._events.close()
 
@@ -241,7 +242,7 @@ class RunFolder:
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:
-    """Return the rows of a folder's progress.csv without their empty entries; none if there is no such file.
+    """Return the rows of a folder's progress.csv without their empty entries; empty if there is no such file.
 
     Raises:
         OSError: it cannot be read.
@@ -270,7 +271,7 @@ def read_config(folder: Path) -> Config | None:
 
 
 def _csv(rows: list[dict[str, float]]) -> str:
-    """Return the rows as CSV, a column for each name that occurs in one of them."""
+    """Return the rows as CSV with a column for each name."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
     writer.writeheader()

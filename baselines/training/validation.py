@@ -1,4 +1,4 @@
-"""Episodes that no agent is trained on, run again and again while one is trained."""
+"""Validate agents during a training, on episodes that are not used for training."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from baselines.evaluation.suites.anchor_errors import AnchorErrors, measured_anc
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
-_SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
-VALIDATED_EPISODES = 64  # of each scenario that the suite does not hold
-_FEW = 12  # the same where a training takes a minute
-_SEEN = 0.999
-"""Share of the control steps of the validation episodes whose errors an agent's region holds."""
-ANCHOR_ERRORS = "validation.json"  # file of a run folder that keeps what expert and oracle do where no suite does
-VALIDATION_PRECISION = "float32"  # of agents' networks here: a fifth of the time, and a score that differs by 1e-6
+_SUITE = "benchmark-v1-validation"  # suite with the validation episodes of its scenarios
+VALIDATED_EPISODES = 64  # of each scenario that is not in the suite
+_FEW = 12  # the same for a short training
+_QUANTILE = 0.999
+"""Quantile of the errors in the validation episodes that an agent's region contains."""
+ANCHOR_ERRORS = "validation.json"  # file of a run folder with the errors of expert and oracle that are in no suite
+VALIDATION_PRECISION = "float32"  # of agents' networks: a fifth of the time; the score differs by 1e-6
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a policy does on the validation episodes."""
+    """The results of a policy on the validation episodes."""
 
-    score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
-    error_m: float  # mean capped tail RMSE [m]
-    failed: float  # share of the episodes that were lost, or whose tail reaches the cap
-    region: tuple[float, ...]  # what `_SEEN` of the scaled errors stay below, see `features.scaled_errors`
+    score: float  # 0: the expert, 1: the oracle
+    error_m: float  # mean capped steady-state RMSE [m]
+    failed: float  # share of failed episodes
+    region: tuple[float, ...]  # `_QUANTILE` of the magnitudes of the scaled errors, see `features.scaled_errors`
 
 
 def validation_cell(scenario: Scenario, brief: bool = False) -> Cell:
-    """Return the validation episodes of a scenario: those of the frozen suite for its scenarios, else drawn ones.
+    """Return the validation episodes of a scenario: those of the suite if it has the scenario, else drawn ones.
 
-    Only `_FEW` are drawn where they are to be brief, and none is of the suite.
+    With `brief` there are only `_FEW`, all of them drawn.
     """
     if brief:
         return drawn(scenario, min(_FEW, VALIDATED_EPISODES), VALIDATION.first)
@@ -59,12 +59,12 @@ def validation_cell(scenario: Scenario, brief: bool = False) -> Cell:
 
 
 class Validation:
-    """Validation episodes of some scenarios, all side by side.
+    """Validation episodes of several scenarios, run in parallel.
 
     Args:
         cells: episodes of scenarios with the same number of substeps.
-        folder: where what expert and oracle do is kept, for the next time; None: nowhere.
-        brief: whether the oracle is left out, so that 1 is no error.
+        folder: for the file with the errors of expert and oracle; None: no file.
+        brief: omit the oracle; a score of 1 is then zero error.
     """
 
     def __init__(self, cells: Sequence[Cell], folder: Path | None = None, brief: bool = False) -> None:
@@ -75,7 +75,7 @@ class Validation:
         self.anchor_errors = {speed_range: _means(own) for speed_range, own in known.items()}
 
     def run(self, policy: Policy) -> Verdict:
-        """Return what a policy does, the mean over scenarios; the score is that over regimes.
+        """Return the results of a policy: means over scenarios, and the mean of the scores of the speed ranges.
 
         Raises:
             PolicyError: its actions are not finite.
@@ -88,33 +88,34 @@ class Validation:
 
         found = list(zip(self._caps, self._episodes.run(policy, watch), strict=True))
         steady_rmses = [capped(ended, cap) for cap, ended in found]
-        gone = [has_failed(ended, cap) for cap, ended in found]
+        failed = [has_failed(ended, cap) for cap, ended in found]
         scores = [
             self.score(_mean(own), speed_range) for speed_range, own in self._by_speed_range(steady_rmses).items()
         ]
-        return Verdict(float(np.mean(scores)), _mean(steady_rmses), _mean(gone), _seen(scaled))
+        return Verdict(float(np.mean(scores)), _mean(steady_rmses), _mean(failed), _region(scaled))
 
     def score(self, error_m: float, speed_range: str | None) -> float:
-        """Return the score of a mean capped tail [m] in the scenarios of a regime, None for those of no regime.
+        """Return the score of a mean capped steady-state RMSE [m] in the scenarios of a speed range.
 
-        Where the oracle is no better than the expert, 1 is no error.
+        `speed_range` is None for scenarios without one. If the oracle is not better than the expert, a score of 1 is
+        zero error.
         """
         expert_m, oracle_m = self.anchor_errors[speed_range]
         best = oracle_m if oracle_m < expert_m else 0.0
         return (expert_m - error_m) / (expert_m - best) if expert_m > 0 else math.nan
 
     def _by_speed_range(self, values: Sequence[Any]) -> dict[str | None, list[Any]]:
-        """Return values of each cell by the cell's regime."""
+        """Return the values of the cells, grouped by speed range."""
         found: dict[str | None, list[Any]] = {}
         for cell, value in zip(self.cells, values, strict=True):
             found.setdefault(speed_range_of(cell.scenario.name), []).append(value)
         return found
 
 
-def _seen(scaled: Array) -> tuple[float, ...]:
-    """Return what `_SEEN` of the magnitudes stay below, for each of `ERROR_FEATURES`; nan where an episode is over."""
-    found: list[float] = np.nanquantile(np.abs(scaled), _SEEN, axis=(0, 2)).tolist()
-    return tuple(found)
+def _region(scaled: Array) -> tuple[float, ...]:
+    """Return the `_QUANTILE` of the magnitude of each of `ERROR_FEATURES`; `scaled` is nan after an episode's end."""
+    quantiles: list[float] = np.nanquantile(np.abs(scaled), _QUANTILE, axis=(0, 2)).tolist()
+    return tuple(quantiles)
 
 
 def _cap(scenario: Scenario) -> float:
@@ -127,7 +128,7 @@ def _mean(cells: Sequence[Any]) -> float:
 
 
 def _anchor_errors(cells: Sequence[Cell], folder: Path | None, brief: bool) -> list[AnchorErrors]:
-    """Return what expert and oracle do in each cell: the suite's where it has it, else the folder's."""
+    """Return the errors of expert and oracle in each cell: from the suite, else from the folder, else measured."""
     known = [recorded_anchor_errors(cell) for cell in cells]
     if all(known):
         return list(filter(None, known))
@@ -135,7 +136,7 @@ def _anchor_errors(cells: Sequence[Cell], folder: Path | None, brief: bool) -> l
     key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
     if file and (found := _read(file, key)):
         return found
-    found = [its or measured_anchor_errors(cell, brief) for its, cell in zip(known, cells, strict=True)]
+    found = [recorded or measured_anchor_errors(cell, brief) for recorded, cell in zip(known, cells, strict=True)]
     if file:
         write_atomically(file, json_text({"hash": key, "anchor_errors": found}))
     return found
@@ -143,13 +144,13 @@ def _anchor_errors(cells: Sequence[Cell], folder: Path | None, brief: bool) -> l
 
 def _means(anchor_errors: Iterable[AnchorErrors]) -> AnchorErrors:
     """Return the means over cells, of the expert and of the oracle."""
-    return AnchorErrors(*(_mean(its) for its in zip(*anchor_errors, strict=True)))
+    return AnchorErrors(*(_mean(errors) for errors in zip(*anchor_errors, strict=True)))
 
 
 def _read(file: Path, key: str) -> list[AnchorErrors] | None:
-    """Return what a file has kept for the episodes of a key; None where it is missing, damaged or of others."""
+    """Return the errors of a file; None if it is missing, damaged, or of other episodes than those of the key."""
     with suppress(OSError, ValueError), guarded(str(file)):
         record = read_json(file)
-        own = [AnchorErrors(*(math.inf if x is None else float(x) for x in its)) for its in record["anchor_errors"]]
-        return own if record["hash"] == key else None
+        errors = [AnchorErrors(*(math.inf if x is None else float(x) for x in row)) for row in record["anchor_errors"]]
+        return errors if record["hash"] == key else None
     return None

@@ -1,9 +1,9 @@
-"""Vehicle models to train on: random ones in the units of the paper's, with limits, a lag and errors of the model.
+"""Random vehicle models to train on, in the units of the paper's vehicle: coefficients, limits, lag, model errors.
 
-By dimensional analysis a vehicle is one of the paper's mass, length and speed with ratios of its own, see
-`auv_gym.physics.units`; so those three are never drawn. The ranges of the rest hold the published vehicles of
-`auv_gym.scenarios.vehicles`, none of which is trained on. A vehicle that cannot do what its scenario asks for is not
-taken.
+By dimensional analysis every vehicle can be scaled to the mass, length and speed of the paper's vehicle, see
+`auv_gym.physics.units`. Therefore these three are not drawn. The ranges of the other parameters include the published
+vehicles of `auv_gym.scenarios.vehicles`, which are not trained on. A vehicle that cannot follow the paths of its
+scenario is rejected.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -24,13 +24,13 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 
 SUBSTEPS = 2
-"""Integration steps in a control period, for all vehicles side by side; a model that needs more is not taken."""
+"""Integration steps in a control period, the same for all vehicles; a model that needs more is rejected."""
 SEVERAL = 16
-"""Models that a vehicle of the training has, one an episode, again and again."""
-TRIALS = 8  # paths that a model is tried on ...
-ENOUGH = 6  # ... and how many of them it must be able to follow
+"""Number of drawn models of a sub-environment; its episodes cycle through them."""
+TRIALS = 8  # paths on which a model is tested
+ENOUGH = 6  # number of them that it must be able to follow
 DECADES = {
-    "d11": (7.0, 450.0),  # [kg/s] surge drag over the speed, at the design speed, quadratic one included
+    "d11": (7.0, 450.0),  # [kg/s] surge drag over speed at the design speed, including quadratic drag
     "d22": (10.0, 900.0),  # [kg/s]
     "d33": (6.0, 320.0),  # [kg m^2/s]
     "Y_vv": (25.0, 1300.0),  # [kg/m]
@@ -41,28 +41,28 @@ DECADES = {
     "thrust": (2.2, 14.0),  # F_u_max over the drag at the design speed
     "F_r_max": (40.0, 700.0),  # [N m]
     "turn_rate": (0.025, 0.16),  # [rad/s] at most, at cruise
-    "lag": (0.02, 0.6),  # [s] about
+    "lag": (0.02, 0.6),  # [s]
     "fin": (4.5, 60.0),  # [kg]
     "astern": (0.45, 1.0),
 }
-"""Ranges in the paper's units, drawn from so that each factor of two is as likely as any other."""
-LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], drawn evenly
-SOME = 0.65  # share of the models that have quadratic drag, of each kind; and of lift where there is lift
-LIFTING = 0.5  # share of the models that have lift
-FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
-WRONG = 0.75  # share of the episodes, of drawn models or not, in which the known model is wrong
+"""Ranges in the paper's units, drawn with a uniform distribution of the logarithm."""
+LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], uniform distribution
+SOME = 0.65  # probability of each quadratic drag, and of each lift coefficient of a model with lift
+LIFTING = 0.5  # probability of lift
+FINNED = 0.5  # probability of fins, whose torque depends on the speed, instead of a yaw torque at any speed
+WRONG = 0.75  # probability that the nominal model of an episode has errors
 MISTAKE = (0.35, 1.65)
-"""Known over true m22/m11, as far as that is a slender vehicle, and known over true drag, of each kind."""
+"""Range of nominal over true m22/m11, limited to slender vehicles, and of nominal over true drag."""
 
 
 def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
-    """Return for each of the scenarios those that a vehicle goes through, one an episode.
+    """Return for each sub-environment the scenarios of its episodes, through which it cycles.
 
-    A share of the vehicles, evenly among them, has `SEVERAL` drawn models; the others have the scenario's own.
+    A share of the sub-environments, evenly distributed, has `SEVERAL` drawn models; the others have their scenario.
 
     Args:
-        scenarios: one for each vehicle, of the paper's vehicle.
-        share: of the vehicles that have drawn models, 0 ... 1.
+        scenarios: of the paper's vehicle, one for each sub-environment.
+        share: of the sub-environments with drawn models, 0 ... 1.
         seed: of the draws.
     """
     rng = np.random.default_rng([seed, len(scenarios)])
@@ -75,9 +75,9 @@ def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[
 
 
 def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
-    """Return a scenario of the paper's vehicle as one of a drawn vehicle that can do it."""
+    """Return a scenario of the paper's vehicle, adapted to a drawn vehicle that can follow its paths."""
     while True:
-        with suppress(ValueError):  # a vehicle, a scenario for it or a plan that there cannot be
+        with suppress(ValueError):  # the vehicle, its scenario or its plan is impossible
             other = adapted(_drawn(rng), scenario)
             if other.substeps == scenario.substeps and _followed(other, rng):
                 return other
@@ -87,7 +87,7 @@ def _drawn(rng: np.random.Generator) -> VehicleModel:
     """Return a random vehicle in the paper's units.
 
     Raises:
-        ValueError: there is no such vehicle, as where it would not be slender.
+        ValueError: the parameters are not those of a possible vehicle; for example it is not slender.
     """
     x = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in DECADES.items()}
     x |= {name: float(rng.uniform(*ends)) for name, ends in LIFTS.items()}
@@ -102,13 +102,13 @@ def _drawn(rng: np.random.Generator) -> VehicleModel:
     )  # fmt: skip
     limits = x["thrust"] * x["d11"] * paper.speed, x["F_r_max"]
     fin = x["fin"] if finned else 0.0
-    slowest = 0.4 if finned else 0.0  # [m/s] none of slow motion
+    slowest = 0.4 if finned else 0.0  # [m/s] excludes the slow speed range
     acts = Actuators(*limits, fin=fin, astern=x["astern"] if rng.random() < SOME else 1.0)
     return VehicleModel("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
 
 
 def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """Return the known model of a vehicle in an episode: that vehicle, or another one of its m11 and m33."""
+    """Return the nominal model of a vehicle in an episode: the vehicle, or one with errors in m22 and drag."""
     if rng.random() >= WRONG:
         return vehicle
     low, high = MISTAKE
@@ -118,7 +118,7 @@ def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
 
 
 def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:
-    """Return whether a vehicle can follow most of a scenario's paths."""
+    """Return whether the vehicle of a scenario can follow at least `ENOUGH` of `TRIALS` paths."""
     done = 0
     for _ in range(TRIALS):
         with suppress(ValueError):

@@ -1,1 +1,1 @@
-"""Tune the gains of a controller on episodes of its own."""
+"""Tune the gains of controllers on separate tuning episodes."""

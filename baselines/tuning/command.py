@@ -1,8 +1,8 @@
-"""Tune a controller's gains on episodes of its own: `auv-gym tune --help`.
+"""Tune a controller's gains on tuning episodes: `auv-gym tune --help`.
 
-The objective is the error that the score is made of: the mean over the cases of a regime of the tail RMSE, that of an
-episode at most the distance from which it counts as lost. With a price it is that error times the mean squared change
-of the command to the power of the price: gains that make calmer commands.
+The objective is the error from which the score is computed: the mean over the cases of a speed range of the
+steady-state RMSE, which is limited to the error cap in each episode. With a price p the objective is this error times
+the mean squared change of the command to the power p, which gives smoother commands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from baselines.gains.loading import checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tools.files import read_json
-from baselines.tuning.objective import TuningEpisodes, compared, course, rewound_scenarios
+from baselines.tuning.objective import TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
     TUNING_EPISODES,
@@ -40,12 +40,12 @@ PROGRAM = "auv-gym tune"
 
 @dataclass(frozen=True)
 class Options:
-    """Tune the gains of a controller and keep them in baselines/gains/NAME-REGIME.json, with where they come from.
+    """Tune the gains of a controller and write them to baselines/gains/NAME-SPEED_RANGE.json, with their provenance.
 
-    The search begins at what that file has under "start", or at its gains. With a price the gains go to
-    runs/tune/NAME-REGIME-PRICE.json.
-    For another vehicle the search begins at the shipped gains, in the vehicle's own units, and they go to
-    runs/tune/NAME-REGIME@VEHICLE.json: make_policy(NAME, vehicle=..., gains=...) takes them.
+    The search starts at the entry "start" of that file, or at its gains. With a price the gains are written to
+    runs/tune/NAME-SPEED_RANGE-PRICE.json.
+    For another vehicle the search starts at the shipped gains, in the units of the vehicle, and writes to
+    runs/tune/NAME-SPEED_RANGE@VEHICLE.json. Use these gains with make_policy(NAME, vehicle=..., gains=...).
     Exit status: 0 done, 2 wrong usage.
 
     Example: auv-gym tune los-pid --speed-range cruise --dry
@@ -54,40 +54,43 @@ class Options:
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """The controller."""
     speed_range: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
-    """Speeds, limits and disturbances to tune for."""
+    """Speed range to tune for."""
     evaluations: int = EVALUATIONS
-    """How often episodes are run; 0 measures the gains that the search would begin at."""
+    """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
-    """Episodes of each evaluation, a multiple of 16: as many of each case."""
+    """Episodes of each evaluation, a multiple of 16, so that each case has the same number."""
     price: float = 0.0
-    """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
+    """Minimise the error times the mean squared change of the command to this power; 0: the error alone."""
     resume: bool = False
-    """Begin at the gains that the file holds, not where the search that found them began."""
+    """Start at the tuned gains of the file instead of its initial gains."""
     start: Path | None = None
-    """A file of gains that this command has written: the search begins at them."""
+    """A file of gains that this command has written; the search starts at them."""
     vehicle: str = PAPER.name
-    """A vehicle of the fleet, or a .toml file of one."""
+    """A published vehicle by name, or a .toml file."""
     dry: bool = False
-    """Print only; leave the file as it is."""
+    """Print the result; do not write the file."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Tune as the arguments say and return the exit status.
+    """Run the command and return its exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: an argument is wrong.
     """
     options = parse(Options, arguments, PROGRAM)
     budget = _checked(options)
     tunable, vehicle_model = TUNABLES[options.name], known_vehicle_model(options.vehicle)
     start = _start(options, tunable)
-    courses = partial(_course, options.speed_range, tunable.world, vehicle_model)
     factory = partial(tunable.factory, vehicle=vehicle_model.in_paper_units.vehicle)
+
+    def draw(episodes: int, seed: int) -> TuningEpisodes:
+        return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
+
     try:
-        courses(options.episodes, VALIDATION_SEED)
-    except ValueError as error:  # fins that do not steer it so slowly
+        tuning_scenarios(options.speed_range, tunable.world, vehicle_model)
+    except ValueError as error:  # its fins have no effect at such a low speed
         raise UsageError(str(error)) from error
-    gains = tune(factory, courses, start, budget, options.price) if options.evaluations else dict(start)
+    gains = tune(factory, draw, start, budget, options.price) if options.evaluations else dict(start)
     record = {
         "policy": options.name,
         "speed_range": options.speed_range,
@@ -112,10 +115,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def known_vehicle_model(vehicle: str) -> VehicleModel:
-    """Return a vehicle with its limits and speeds, by name or file.
+    """Return the vehicle model of a name or file.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the vehicle is unknown, or the file cannot be read.
     """
     try:
         vehicle_model = PAPER if vehicle == PAPER.name else as_vehicle_model(vehicle)
@@ -127,7 +130,7 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
 
 
 def _file(options: Options) -> Path:
-    """Return where the gains go."""
+    """Return the file to which the gains are written."""
     if options.vehicle != PAPER.name:
         return Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
     if options.price:
@@ -135,12 +138,8 @@ def _file(options: Options) -> Path:
     return gain_file(options.name, options.speed_range)
 
 
-def _course(speed_range: str, world: str, vehicle_model: VehicleModel, episodes: int, seed: int) -> TuningEpisodes:
-    return course(speed_range, episodes, seed, world, vehicle_model)
-
-
 def _validated(speed_range: str, tunable: Tunable, gains: GainSet, vehicle_model: VehicleModel) -> dict[str, Any]:
-    """Return what gains do on the validation episodes, beside the expert."""
+    """Return the results of gains on the validation episodes, compared with those of the expert."""
     episodes = TuningEpisodes(speed_range, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, vehicle_model)
     own = vehicle_model.in_paper_units.vehicle
     policies = tunable.factory(dict(gains), vehicle=own), make_policy("backstepping", vehicle=own)
@@ -152,26 +151,26 @@ def _checked(options: Options) -> Budget:
     """Return the budget; raise UsageError if an option is wrong."""
     if options.name not in TUNABLES:
         raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
-    turns = len(rewound_scenarios(options.speed_range, "adverse"))
-    if options.episodes < turns or options.episodes % turns:
-        raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {turns}")
+    cycle = len(tuning_scenarios(options.speed_range, "adverse"))
+    if options.episodes < cycle or options.episodes % cycle:
+        raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")
     if options.evaluations < 0:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
     if not 0 <= options.price <= 1:
         raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
     if options.vehicle != PAPER.name and (options.price or options.resume):
-        raise UsageError("--vehicle goes without --price and --resume: a search for a vehicle begins at shipped gains")
+        raise UsageError("--vehicle excludes --price and --resume: a search for a vehicle starts at the shipped gains")
     budget = Budget(options.evaluations, options.episodes)
     if budget.last_seed > VALIDATION_SEED:
         raise UsageError(
             f"--evaluations {options.evaluations} of --episodes {options.episodes} need seeds up to "
-            f"{budget.last_seed}; tuning episodes have them below {VALIDATION_SEED}"
+            f"{budget.last_seed}; seeds of tuning episodes must be below {VALIDATION_SEED}"
         )
     return budget
 
 
 def _start(options: Options, tunable: Tunable) -> GainSet:
-    """Return the gains that a search begins at."""
+    """Return the initial gains of the search."""
     part = "gains" if options.resume or options.price or options.vehicle != PAPER.name else "start"
     try:
         if options.start is not None:
@@ -179,9 +178,9 @@ def _start(options: Options, tunable: Tunable) -> GainSet:
         else:
             start = load_gains(options.name, options.speed_range, tunable.names, part)
     except (AttributeError, OSError) as error:
-        raise UsageError(f"--start {options.start} holds no gains: {error}") from error
+        raise UsageError(f"--start {options.start} has no gains: {error}") from error
     except ValueError as error:
         raise UsageError(str(error)) from error
     if zero := [name for name, gain in start.items() if not gain > 0]:
-        raise UsageError(f"the search is on logarithms: to begin at, {', '.join(zero)} must be positive")
+        raise UsageError(f"the search uses logarithms: the initial values of {', '.join(zero)} must be positive")
     return start

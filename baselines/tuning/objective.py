@@ -1,9 +1,8 @@
-"""A course: episodes of a mixture of scenarios, side by side, that policies run one after the other to be compared."""
+"""The objective of tuning: the error of a policy on a batch of episodes of several scenarios."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,30 +21,30 @@ from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import ERROR_CAPS, capped, has_failed
 
 _WORLDS = ("plain", "adverse")
-"""What controllers are tuned for: a regime's eight cases alone, or those and, as often, the adverse storm."""
+"""Disturbances to tune for: the eight cases of the speed range; or these, and as many storms with faults."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a policy does in a regime."""
+    """The results of a policy in a speed range."""
 
-    error_m: float  # mean over scenarios of the capped tail RMSE, each counted as often as it is in the course
+    error_m: float  # mean over the episodes of the capped steady-state RMSE
     case_error_m: dict[str, float]  # the same by case
-    failed: float  # share of the episodes whose tail RMSE reaches the cap
+    failed: float  # share of failed episodes
     effort: float  # mean square command
     smoothness: float  # mean squared change of the command
 
 
-def rewound_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel = PAPER) -> tuple[Scenario, ...]:
-    """Return the scenarios of a course's first episodes, in their order, which then begins anew.
+def tuning_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel = PAPER) -> tuple[Scenario, ...]:
+    """Return the scenarios to tune on; the episodes cycle through them in this order.
 
     Args:
         speed_range: "slow" or "cruise".
         world: one of `_WORLDS`.
-        vehicle_model: whose they are; in the paper's units, so that caps and gains mean the same for every vehicle.
+        vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
 
     Raises:
-        ValueError: its fins do not steer it that slowly.
+        ValueError: its fins have no effect at the speeds of the scenarios.
     """
     cases = tuple(PRESETS[f"{speed_range}-{case}"] for case in CASES)
     every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
@@ -56,55 +55,55 @@ def rewound_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel 
 
 
 class TuningEpisodes:
-    """Episodes of a regime, side by side, to be run again and again by different policies.
+    """A batch of episodes of a speed range, which different policies run repeatedly.
 
     Args:
         speed_range: "slow" or "cruise".
-        episodes: how many, a multiple of sixteen; they take turns over `rewound_scenarios`.
+        episodes: their number; they cycle through `tuning_scenarios`.
         seed: episode i is drawn with seed + i.
         world: one of `_WORLDS`.
-        vehicle_model: the vehicle, see `rewound_scenarios`.
+        vehicle_model: see `tuning_scenarios`.
     """
 
     def __init__(
         self, speed_range: str, episodes: int, seed: int, world: str = "plain", vehicle_model: VehicleModel = PAPER
     ) -> None:
-        turns = rewound_scenarios(speed_range, world, vehicle_model)
-        self._names = [turns[i % len(turns)].name.removeprefix(f"{speed_range}-") for i in range(episodes)]
+        cycle = tuning_scenarios(speed_range, world, vehicle_model)
+        self._names = [cycle[i % len(cycle)].name.removeprefix(f"{speed_range}-") for i in range(episodes)]
         self.cap = ERROR_CAPS[speed_range]
-        self.steps, self.lost_distance = turns[0].steps, turns[0].lost_distance
-        # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
-        scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in turns]
-        lanes = [scenarios[i % len(turns)] for i in range(episodes)]
+        self.steps, self.lost_distance = cycle[0].steps, cycle[0].lost_distance
+        # No episode ends or begins during a run: one more step than a run has, and a larger `lost_distance`.
+        longer = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in cycle]
+        scenarios = [longer[i % len(cycle)] for i in range(episodes)]
 
         def begin(preview: tuple[int, ...]) -> Begun:
-            env = UnderactuatedAUVTrackVectorEnv(len(lanes), lanes, preview=preview)
+            env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview)
             return env, env.reset(seed=seed)[0]
 
         self._episodes = Repeatable(begin)
 
     def run(self, policy: Policy) -> Result:
-        """Return what a policy does on the course.
+        """Return the results of a policy.
 
         Raises:
             PolicyError: its actions are not finite.
         """
-        steady_rmse, gone, actions = self.steady_rmses(policy)
+        steady_rmse, failed, actions = self.steady_rmses(policy)
         return Result(
             error_m=float(steady_rmse.mean()),
             case_error_m={name: float(own.mean()) for name, own in self.by_case(steady_rmse).items()},
-            failed=float(np.mean(gone)),
+            failed=float(np.mean(failed)),
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
 
     def by_case(self, values: Array) -> dict[str, Array]:
-        """Return what there is of each episode, shape (N,), by the case that it is of."""
+        """Return values of the episodes, shape (N,), grouped by case."""
         names = np.array(self._names)
         return {name: values[names == name] for name in dict.fromkeys(self._names)}
 
     def steady_rmses(self, policy: Policy) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Return the capped tail RMSE [m] of each episode, whether it was lost, and the commands, shape (steps, N, 2).
+        """Return the capped steady-state RMSE [m] and the failure of each episode, and the commands (steps, N, 2).
 
         Raises:
             PolicyError: the policy's actions are not finite.
@@ -115,16 +114,8 @@ class TuningEpisodes:
         return capped(ended, self.cap), has_failed(ended, self.cap), actions
 
 
-@lru_cache(maxsize=2)
-def course(
-    speed_range: str, episodes: int, seed: int, world: str, vehicle_model: VehicleModel = PAPER
-) -> TuningEpisodes:
-    """Return a course; the last ones that were asked for are kept."""
-    return TuningEpisodes(speed_range, episodes, seed, world, vehicle_model)
-
-
 def compared(result: Result, expert: Result) -> dict[str, Any]:
-    """Return a result with what it is relative to the expert's: 1 - its error, effort and smoothness ratio."""
+    """Return a result as a dict, with the score and the ratios of effort and smoothness relative to the expert."""
     return {
         **asdict(result),
         "expert_error_m": expert.error_m,

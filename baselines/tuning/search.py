@@ -1,10 +1,10 @@
-"""The search for gains: an evolution strategy with the same number of evaluations for every controller.
+"""Search gains by an evolution strategy, with the same number of evaluations for every controller.
 
 It is the CMA-ES of N. Hansen and A. Ostermeier ("Completely derandomized self-adaptation in evolution strategies",
 Evolutionary Computation 9(2):159-195, 2001) with a diagonal covariance, on the logarithms of the gains. Each generation
-runs other episodes than the one before, so that gains are found that are good in all of them and not in a few; the
-generations of every controller run the same ones. In the end a run-off on further episodes decides between the gains
-that the search began at, its mean half way, and its last mean.
+has new episodes, so that the gains do not overfit to a few of them. The episodes of a generation are the same for every
+controller. At the end three sets of gains are compared on further episodes: the initial gains, the mean of the search
+after half of the generations, and its last mean.
 """
 
 from __future__ import annotations
@@ -23,54 +23,55 @@ from baselines.tools.seeds import TUNING, TUNING_CHECK
 from baselines.tuning.objective import Result, TuningEpisodes
 
 EVALUATIONS = 300
-"""How often episodes are run to tune a controller in a regime, the same for all."""
+"""Evaluations of a search, the same for all controllers."""
 TUNING_EPISODES = 32
 """Episodes of an evaluation."""
 POPULATION = 12  # evaluations of a generation
-FINALISTS = 3  # gains that meet in the run-off
-RUN_OFF = 4  # evaluations that each of them is given there
+FINALISTS = 3  # sets of gains in the final comparison
+RUN_OFF = 4  # evaluations of each set in the final comparison
 SPREAD = 0.4  # standard deviation of the logarithms of the gains in the first generation
-LARGEST_CHANGE = 30.0  # gains are searched from start / LARGEST_CHANGE to start * LARGEST_CHANGE
-TUNING_SEED = TUNING.first  # first seed of the episodes that gains are tuned on; an evaluation's begin far below
-VALIDATION_SEED = TUNING_CHECK.first  # first seed of the episodes that gains are checked on
-VALIDATION_EPISODES = 512  # that gains are checked on
+LARGEST_CHANGE = 30.0  # bounds of the search: start / LARGEST_CHANGE, start * LARGEST_CHANGE
+TUNING_SEED = TUNING.first  # first seed of the tuning episodes
+VALIDATION_SEED = TUNING_CHECK.first  # first seed of the validation episodes
+VALIDATION_EPISODES = 512
+"""Episodes of the final comparison of the best gains with those of the expert."""
 
 GainSet = Mapping[str, float]
 Factory = Callable[[dict[str, float]], Policy]
-"""Makes the policy that has these gains at every speed."""
-Courses = Callable[[int, int], TuningEpisodes]
-"""Returns the course of so many episodes from a seed on."""
+"""Returns the policy with these gains at every speed."""
+Draw = Callable[[int, int], TuningEpisodes]
+"""Returns a number of episodes, drawn with seeds from the given one."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What a search may spend; the defaults are everybody's."""
+    """The size of a search; the defaults are those of all shipped gains."""
 
     evaluations: int = EVALUATIONS
     episodes: int = TUNING_EPISODES
 
     @property
     def generations(self) -> int:
-        """How many generations there are beside the run-off."""
+        """Number of generations before the final comparison."""
         return max(0, (self.evaluations - FINALISTS * RUN_OFF) // POPULATION)
 
     @property
     def last_seed(self) -> int:
-        """The seed behind that of the last episode."""
+        """The seed after that of the last episode."""
         return TUNING_SEED + (self.generations + RUN_OFF) * self.episodes
 
 
 def tune(
-    factory: Factory, courses: Courses, start: GainSet, budget: Budget | None = None, price: float = 0.0
+    factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = None, price: float = 0.0
 ) -> dict[str, float]:
-    """Return the best gains that were found.
+    """Return the best gains of a search.
 
     Args:
-        factory: the controller.
-        courses: the episodes.
-        start: positive gains to begin at.
+        factory: returns the controller with given gains.
+        draw: returns episodes.
+        start: initial gains, positive.
         budget: of the search.
-        price: what is minimised is the error times the command's smoothness to this power.
+        price: power of the command's smoothness in the objective, see `priced`.
     """
     budget = budget or Budget()
     names, centre = list(start), np.log(np.array(list(start.values())))
@@ -84,25 +85,25 @@ def tune(
     if budget.generations:
         cma = strategies()
         options: dict[str, Any] = {"popsize": POPULATION, "CMA_diagonal": True, "seed": 1, "verbose": -9}
-        reach = np.log(LARGEST_CHANGE)
-        options |= {"bounds": [(centre - reach).tolist(), (centre + reach).tolist()]}
+        radius = np.log(LARGEST_CHANGE)
+        options |= {"bounds": [(centre - radius).tolist(), (centre + radius).tolist()]}
         strategy = cma.CMAEvolutionStrategy(centre, SPREAD, options)
         for generation in range(budget.generations):
-            episodes = courses(budget.episodes, TUNING_SEED + generation * budget.episodes)
+            episodes = draw(budget.episodes, TUNING_SEED + generation * budget.episodes)
             points = strategy.ask()
             costs = [cost(x, episodes) for x in points]
             strategy.tell(points, costs)
             print(f"{generation + 1:3d} {time.monotonic() - begin:6.0f} s  {np.median(costs):.5g}", flush=True)
             if generation + 1 in (budget.generations // 2, budget.generations):
                 finalists.append(np.array(strategy.result.xfavorite))
-    episodes = courses(RUN_OFF * budget.episodes, TUNING_SEED + budget.generations * budget.episodes)
+    episodes = draw(RUN_OFF * budget.episodes, TUNING_SEED + budget.generations * budget.episodes)
     ranked = sorted((cost(x, episodes), i) for i, x in enumerate(finalists))
     print("run-off", ranked, flush=True)
     return _gains(names, finalists[ranked[0][1]])
 
 
 def strategies() -> Any:
-    """Return the package of evolution strategies.
+    """Return the package `cma`.
 
     Raises:
         ImportError: it is not installed.
@@ -115,7 +116,7 @@ def strategies() -> Any:
 
 
 def priced(result: Result, price: float) -> float:
-    """Return what is minimised."""
+    """Return the objective: the error times the smoothness to the power `price`."""
     return result.error_m * result.smoothness**price if price else result.error_m
 
 

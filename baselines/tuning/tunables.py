@@ -1,4 +1,4 @@
-"""What can be tuned, by name."""
+"""The controllers whose gains can be tuned, by name."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from baselines.control.nmpc.controller import NMPC_ADVERSE_GAINS, NMPC_GAINS
 
 
 class Maker(Protocol):
-    """Makes the policy that has these gains at every speed."""
+    """Factory of a policy with the same gains at every speed."""
 
     def __call__(self, gains: dict[str, float], vehicle: Vehicle = ...) -> Policy:
-        """Return it for the vehicle that it is to believe in, the paper's by default."""
+        """Return the policy for a nominal vehicle, by default the paper's."""
 
 
 @dataclass(frozen=True)
 class Tunable:
     """A controller whose gains can be tuned."""
 
-    factory: Maker  # the policy with these gains at every speed
+    factory: Maker
     names: Sequence[str]  # of the gains
-    world: str = "plain"  # that it is tuned in, one of `objective.WORLDS`
-    sweep: Mapping[str, float] = field(default_factory=dict)  # powers of a factor that make its commands calmer
+    world: str = "plain"  # one of `objective._WORLDS`
+    sweep: Mapping[str, float] = field(default_factory=dict)  # exponents by gain, see `SWEEPS`
 
 
 def _printed(gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Backstepping:
@@ -36,7 +36,7 @@ def _printed(gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Backs
 
 
 def _tunable(name: str, names: Sequence[str]) -> Tunable:
-    """Return the entry of a controller whose factory takes gains; one that knows of faults is tuned among them."""
+    """Return the entry of a controller whose factory takes gains; a fault-tolerant one is tuned with faults."""
     factory, options, _ = POLICIES[name]
     world = "adverse" if name.endswith("-adverse") else "plain"
     return Tunable(partial(factory, **options), names, world, SWEEPS.get(name, {}))
@@ -44,10 +44,10 @@ def _tunable(name: str, names: Sequence[str]) -> Tunable:
 
 SWEEPS: Mapping[str, Mapping[str, float]] = {
     "lqi": dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0),  # weights of the commands
-    "ekf": dict.fromkeys(("k", "cu", "c", "cr"), -0.25),  # it has no such weights: all rates of its law go down
+    "ekf": dict.fromkeys(("k", "cu", "c", "cr"), -0.25),  # rates of its law
     "nmpc": dict.fromkeys(("surge", "yaw"), 1.0),  # weights of the commands
 }
-"""By name, the powers of a sweep's factor that gains follow."""
+"""By controller and gain, the exponent of the factor of a sweep from small errors to smooth commands."""
 TUNABLES: dict[str, Tunable] = {
     "backstepping-tuned": Tunable(_printed, LAW_GAINS),
     "backstepping-normalised-tuned": Tunable(_printed, SCALED_GAINS),
@@ -55,4 +55,4 @@ TUNABLES: dict[str, Tunable] = {
     "nmpc": _tunable("nmpc", NMPC_GAINS),
     "nmpc-adverse": _tunable("nmpc-adverse", NMPC_ADVERSE_GAINS),
 }
-"""What can be tuned, by name: add an entry here; a controller of `TUNED` is among them."""
+"""The controllers that can be tuned, by name: add an entry here. It includes those of `TUNED`."""

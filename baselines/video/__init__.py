@@ -1,5 +1,5 @@
-"""Moving pictures of policies in the same sea: `auv-gym video --help`."""
+"""Videos of policies in the same episode: `auv-gym video --help`."""
 
-from baselines.video.video import Film, make_film
+from baselines.video.video import Video, make_video
 
-__all__ = ["Film", "make_film"]
+__all__ = ["Video", "make_video"]

@@ -1,4 +1,4 @@
-"""Moving pictures of policies side by side: `auv-gym video --help`."""
+"""Make videos of policies side by side: `auv-gym video --help`."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
 from baselines.tools.workers import Workers
 from baselines.video.files import WRITERS, save_video
-from baselines.video.layout import HULLS
-from baselines.video.pairs import Lead, leads, typical
-from baselines.video.video import FPS, SPEED, VIDEO_SIZE, film
+from baselines.video.layout import MOST_PANELS
+from baselines.video.pairs import Comparison, comparisons, typical_episode
+from baselines.video.video import FPS, SPEED, VIDEO_SIZE, video_of
 
 PROGRAM = "auv-gym video"
 _SMALLEST = (240, 180)
-"""Least width and height [px] of a film."""
-MOST_PICTURES = 3600  # of a film
-NARROWEST = 160  # least width [px] of a policy's panel
-_MOST_EPISODES = 10_000  # among which the typical one is looked for
+"""Smallest width and height [px] of a video."""
+MOST_FRAMES = 3600  # largest number of frames of a video
+NARROWEST = 160  # [px] smallest width of a policy's panel
+_MOST_EPISODES = 10_000  # largest number of episodes in the search for a typical one
 
 
 @dataclass(frozen=True)
 class Options:
-    """Film policies side by side in one episode, the same sea for all, with the position errors of all below.
+    """Make a video of policies side by side in the same episode, with a chart of their position errors.
 
     Exit status: 0 done, 1 a policy failed or the file could not be written, 2 wrong usage.
 
@@ -50,35 +50,35 @@ class Options:
     seed: int = 0
     """Seed of the episode."""
     episodes: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Run N episodes, from the seed on, and film the typical one: there the policies' errors relate to the first one's
-    as in the median episode. Says what each policy keeps in all N."""
+    """Run N episodes from the seed on, and show the typical one: the one in which the ratios of the policies' errors
+    are closest to their medians. Also print the mean steady-state error of each policy in all N episodes."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Worker processes for these episodes; the film is the same for any number. Default: 2, or 1 on one processor."""
-    out: Path = Path("runs/film.webp")
-    """The file: a .webp or .gif, which are loops, or an .mp4."""
+    """Worker processes for these episodes; the video is the same for any number. Default: 2, or 1 on one processor."""
+    out: Path = Path("runs/video.webp")
+    """The file: a .webp or .gif, which plays in a loop, or an .mp4."""
     size: str = f"{VIDEO_SIZE[0]}x{VIDEO_SIZE[1]}"
     """Width and height in pixels."""
     speed: float = SPEED
-    """How many times faster than the vehicles it is played."""
+    """Playback speed: 4 is four times as fast as real time."""
     seconds: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """Length of the film. Default: the whole episode."""
+    """Length of the video. Default: the whole episode."""
     fps: int = FPS
-    """Pictures a second."""
+    """Frames per second."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Film as the arguments say and return the exit status.
+    """Make a video and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are wrong.
     """
     options = parse(Options, arguments, PROGRAM)
     size = _checked(options)
     scenario = checked_scenario(options.scenario)
-    pictures = min(scenario.duration / options.speed, options.seconds or math.inf) * options.fps
-    if pictures > MOST_PICTURES:
+    frames = min(scenario.duration / options.speed, options.seconds or math.inf) * options.fps
+    if frames > MOST_FRAMES:
         raise UsageError(
-            f"the film would have {pictures:.0f} pictures; at most {MOST_PICTURES} are allowed: raise --speed, "
+            f"the video would have {frames:.0f} frames; at most {MOST_FRAMES} are allowed: raise --speed, "
             "or give --seconds"
         )
     policies = checked_policies(options.policy)
@@ -86,30 +86,32 @@ def main(arguments: Sequence[str]) -> int:
     try:
         k, found = _typical(policies, scenario, options, workers) if options.episodes else (0, [])
         seed = options.seed + k
-        made = film(policies, scenario, seed, size=size, fps=options.fps, speed=options.speed, seconds=options.seconds)
-        save_video(made.frames(), options.out, made.fps)
+        video = video_of(
+            policies, scenario, seed, size=size, fps=options.fps, speed=options.speed, seconds=options.seconds
+        )
+        save_video(video.frames(), options.out, video.fps)
     except DependencyNotInstalled as error:
         raise UsageError(str(error)) from error
     except PolicyError as error:
         print(f"{called(PROGRAM)}: {printable(str(error))}", file=sys.stderr)
         return FAILED
-    for lead in found:
-        print(lead)
-    length, size_kb = len(made.times) / made.fps, options.out.stat().st_size / 1000
+    for comparison in found:
+        print(comparison)
+    length, size_kb = len(video.times) / video.fps, options.out.stat().st_size / 1000
     print(f"written: {options.out}, {length:.1f} s of {scenario.name}, seed {seed}, {size_kb:.0f} kB")
     return DONE
 
 
 def _checked(options: Options) -> tuple[int, int]:
-    """Return the width and height of a film that can be made.
+    """Return the width and height of the video.
 
     Raises:
         UsageError: an option is wrong.
     """
     if options.out.suffix not in WRITERS:
         raise UsageError(f"--out is {options.out}; its name must end in {', '.join(WRITERS)}")
-    if not 1 <= len(options.policy) <= len(HULLS):
-        raise UsageError(f"--policy names {len(options.policy)} policies; a film shows 1 to {len(HULLS)}")
+    if not 1 <= len(options.policy) <= MOST_PANELS:
+        raise UsageError(f"--policy names {len(options.policy)} policies; a video shows 1 to {MOST_PANELS}")
     for name, least, most in (("seed", 0, 2**62), ("episodes", 1, _MOST_EPISODES), ("fps", 1, 60)):
         if (value := getattr(options, name)) is not None and not least <= value <= most:
             raise UsageError(f"--{name} is {value}; it must be an integer from {least} to {most}")
@@ -126,8 +128,10 @@ def _checked(options: Options) -> tuple[int, int]:
     return width, height
 
 
-def _typical(policies: Sequence[str], scenario: Scenario, options: Options, workers: Workers) -> tuple[int, list[Lead]]:
-    """Run the policies through so many episodes; return the number of the typical one, and what they keep in all.
+def _typical(
+    policies: Sequence[str], scenario: Scenario, options: Options, workers: Workers
+) -> tuple[int, list[Comparison]]:
+    """Return the index of the typical one of `options.episodes` episodes, and the comparisons of the policies in all.
 
     Raises:
         PolicyError: a policy failed.
@@ -138,4 +142,4 @@ def _typical(policies: Sequence[str], scenario: Scenario, options: Options, work
         if run.measures is None:
             raise PolicyError(f"{run.policy} in {scenario.name}: {run.error}")
         steady_rmses[run.policy] = run.measures.steady_rmse
-    return typical(steady_rmses), leads(steady_rmses, scenario)
+    return typical_episode(steady_rmses), comparisons(steady_rmses, scenario)

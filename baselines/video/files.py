@@ -1,4 +1,4 @@
-"""Moving pictures as files: loops by Pillow, videos by ffmpeg."""
+"""Writes videos as files: loops with Pillow, .mp4 with ffmpeg."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from auv_gym.installation import install
 from baselines.tools.files import write_atomically
 
 Frames = Iterable[NDArray[np.uint8]]
-"""Pictures of one size, arrays (height, width, 3)."""
-QUALITY = 60  # of a lossy picture, 0 ... 100
-LAST = 1500  # [ms] how long the last picture of a loop stays
+"""Frames of one size, arrays (height, width, 3)."""
+QUALITY = 60  # of lossy compression, 0 ... 100
+LAST = 1500  # [ms] duration of the last frame of a loop
 
 
 def save_video(frames: Frames, out: Path, fps: int) -> Path:
-    """Write pictures as a file whose ending says its kind, one of `WRITERS`, and return it.
+    """Write frames to a file and return it; the suffix of its name, one of `WRITERS`, chooses the format.
 
     Raises:
-        DependencyNotInstalled: what writes it is missing.
-        OSError: it cannot be written.
-        ValueError: the ending is unknown.
+        DependencyNotInstalled: the library for this format is missing.
+        OSError: the file cannot be written.
+        ValueError: the suffix is unknown.
     """
     if out.suffix not in WRITERS:
-        raise ValueError(f"{out.name!r} is no moving picture; its name must end in {', '.join(WRITERS)}")
+        raise ValueError(f"{out.name!r} is no name of a video; it must end in {', '.join(WRITERS)}")
     out.parent.mkdir(parents=True, exist_ok=True)
     WRITERS[out.suffix](frames, out, fps)
     return out
@@ -43,7 +43,7 @@ def _write_gif(frames: Frames, out: Path, fps: int) -> None:
 
 
 def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping[str, object]) -> None:
-    """Write a loop by Pillow; its last picture stays for a moment."""
+    """Write a loop with Pillow; its last frame is shown longer."""
     try:
         from PIL import Image
     except ImportError as error:
@@ -60,14 +60,16 @@ def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping
 
 
 def _write_mp4(frames: Frames, out: Path, fps: int) -> None:
-    """Write a video by the ffmpeg that imageio-ffmpeg brings."""
+    """Write an .mp4 with the ffmpeg of imageio-ffmpeg."""
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:
         raise DependencyNotInstalled(f"a video needs ffmpeg: {install('render')}") from error
     video = None
     for frame in frames:
-        even = np.ascontiguousarray(frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])  # what the codec takes
+        even = np.ascontiguousarray(
+            frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2]
+        )  # the codec needs even sizes
         if video is None:
             video = write_frames(str(out), even.shape[1::-1], fps=fps, macro_block_size=2)
             video.send(None)
@@ -81,4 +83,4 @@ WRITERS: Mapping[str, Callable[[Frames, Path, int], None]] = {
     ".webp": _write_webp,
     ".gif": _write_gif,
 }
-"""How a file is written, by the ending of its name."""
+"""The function that writes a file, by the suffix of its name."""

@@ -1,4 +1,4 @@
-"""Policies in pairs: what they keep in the same episodes, and which of these shows it best."""
+"""Compares policies in paired episodes, and finds the most typical of these episodes."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import bootstrap_interval
 
 SteadyRmses = Mapping[str, Array]
-"""Tail RMSE [m] of policies by name, an entry for each of N episodes that are the same for all."""
+"""Steady-state RMSE [m] by policy, an entry for each of N episodes, which are the same for all policies."""
 
 
-class Lead(NamedTuple):
-    """How far one policy keeps nearer to the reference than another, in N paired episodes."""
+class Comparison(NamedTuple):
+    """The mean steady-state RMSE of a policy and of another one in paired episodes."""
 
     policy: str
     other: str
-    kept: tuple[float, float]  # [m] mean tail of the policy and of the other one
-    less: tuple[float, float]  # [m] 95 % interval of the other's mean tail less the policy's
+    means: tuple[float, float]  # [m] of the policy and of the other one
+    difference: tuple[float, float]  # [m] 95 % interval of the other's mean minus the policy's
     episodes: int
     scenario: str
 
     def __str__(self) -> str:
-        (kept, others), (low, high) = self.kept, self.less
-        said = f"; 95 % interval of the difference: {low:.3f} ... {high:.3f} m" if self.episodes > 1 else ""
+        (own, others), (low, high) = self.means, self.difference
+        interval = f"; 95 % interval of the difference: {low:.3f} ... {high:.3f} m" if self.episodes > 1 else ""
         return (
-            f"{self.policy} keeps {kept:.3f} m where {self.other} keeps {others:.3f} m "
-            f"({self.episodes} paired {'episodes' if self.episodes > 1 else 'episode'} of {self.scenario}{said})"
+            f"steady-state RMSE of {self.policy}: {own:.3f} m, of {self.other}: {others:.3f} m "
+            f"({self.episodes} paired {'episodes' if self.episodes > 1 else 'episode'} of {self.scenario}{interval})"
         )
 
 
-def leads(steady_rmses: SteadyRmses, scenario: Scenario) -> list[Lead]:
-    """Return how far each policy but the first keeps nearer to the reference than the first does."""
+def comparisons(steady_rmses: SteadyRmses, scenario: Scenario) -> list[Comparison]:
+    """Return the comparison of each policy with the first one."""
     (first, others), *rest = steady_rmses.items()
     return [
-        Lead(
+        Comparison(
             name,
             first,
             (float(own.mean()), float(others.mean())),
@@ -50,12 +50,12 @@ def leads(steady_rmses: SteadyRmses, scenario: Scenario) -> list[Lead]:
     ]
 
 
-def typical(steady_rmses: SteadyRmses) -> int:
-    """Return the number of the episode whose errors relate to one another as they do in the median episode.
+def typical_episode(steady_rmses: SteadyRmses) -> int:
+    """Return the index of the episode in which the ratios of the policies' errors are closest to their medians.
 
-    Of each policy but the first, the logarithm of its tail over the first one's is compared with the median of that
-    over all episodes; the typical episode has the smallest sum of absolute differences. With one policy it is the tail
-    itself that is compared.
+    The ratio of a policy is its steady-state RMSE divided by that of the first policy. The typical episode minimises
+    the sum, over policies, of the absolute differences between the logarithm of the ratio and its median over all
+    episodes. With one policy, its RMSE takes the place of the ratio.
     """
     (_, first), *rest = steady_rmses.items()
     logs = [np.log(own / first) for _, own in rest] or [np.log(first)]

@@ -1,4 +1,4 @@
-"""What a moving picture shows of one policy: an episode, instant by instant."""
+"""Runs a policy through an episode and records the trajectory for a video."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
@@ -17,23 +18,25 @@ from baselines.policy import Privileged
 
 
 class Instant(NamedTuple):
-    """A voyage at one time, SI units."""
+    """A trajectory at one time, in SI units."""
 
     state: Array  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s], shape (6,)
     reference: Array  # x, y [m], psi [rad], shape (3,)
     current: Array  # V_x, V_y [m/s], shape (2,)
+    waves: Array  # wave force in the world [N], shape (2,)
     error: float  # [m] distance to the reference
 
 
 @dataclass(frozen=True)
-class Voyage:
-    """One episode of a policy, a row for each of K control instants."""
+class Trajectory:
+    """One episode of a policy, one row for each of K control instants."""
 
     policy: str
     time: Array  # [s], shape (K,)
     state: Array  # as in `Instant`, psi without jumps, shape (K, 6)
     reference: Array  # as in `Instant`, shape (K, 3)
     current: Array  # [m/s], shape (K, 2)
+    waves: Array  # [N], shape (K, 2)
     failed: bool  # whether it ended beyond the scenario's `lost_distance`
 
     @property
@@ -42,26 +45,26 @@ class Voyage:
         return np.asarray(np.hypot(*(self.state[:, :2] - self.reference[:, :2]).T))
 
     def at(self, time: float) -> Instant:
-        """Return what lies between two control instants; where it has ended, its end."""
+        """Return the linear interpolation at a time [s]; after the end of the episode, its last instant."""
         k = min(int(np.searchsorted(self.time, time, side="right")) - 1, len(self.time) - 2)
         share = min((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 1.0)
-        rows = self.state, self.reference, self.current
-        state, reference, current = ((1.0 - share) * row[k] + share * row[k + 1] for row in rows)
-        return Instant(state, reference, current, float(np.hypot(*(state[:2] - reference[:2]))))
+        rows = self.state, self.reference, self.current, self.waves
+        state, reference, current, waves = ((1.0 - share) * row[k] + share * row[k + 1] for row in rows)
+        return Instant(state, reference, current, waves, float(np.hypot(*(state[:2] - reference[:2]))))
 
 
-def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
-    """Return what a policy does in an episode.
+def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> Trajectory:
+    """Return the trajectory of a policy in an episode.
 
     Args:
-        name: of the policy, see `baselines.make_policy`.
-        scenario: what the episode is of.
-        episode: what is to run.
+        name: name of the policy, see `baselines.make_policy`.
+        scenario: scenario of the episode.
+        episode: the episode.
 
     Raises:
         OSError: the policy's file cannot be read.
         ValueError: there is no such policy.
-        PolicyError: it gave no usable action.
+        PolicyError: the policy gave no usable action.
     """
     policy = make_policy(name, scenario.vehicle)
     if isinstance(policy, Privileged):
@@ -72,11 +75,13 @@ def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
         failed = bool(moment.failed[0])
         if not failed and k + 1 < scenario.steps:
             rows.append(_row(env))
-    state, reference, current = (np.array(column) for column in zip(*rows, strict=True))
+    state, reference, current, load = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
-    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
+    cos, sin = np.cos(state[:, 2]), np.sin(state[:, 2])
+    waves = np.stack(to_world(load[:, 0], load[:, 1], cos, sin), axis=1)
+    return Trajectory(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, waves, failed)
 
 
-def _row(env: Any) -> tuple[Array, Array, Array]:
-    """Return state, reference and current of the only vehicle at this time."""
-    return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy()
+def _row(env: Any) -> tuple[Array, Array, Array, Array]:
+    """Return state, reference, current and wave load of the environment's only vehicle."""
+    return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy(), env.load[0]

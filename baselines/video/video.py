@@ -1,4 +1,4 @@
-"""Films: the same episode with several policies side by side, and the files that they are kept in."""
+"""Makes videos of several policies side by side in the same episode."""
 
 from __future__ import annotations
 
@@ -11,40 +11,42 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.rendering.canvas import Color
 from auv_gym.rendering.renderer import import_pygame
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE
+from baselines.tools.figure_style import look
 from baselines.video.files import save_video
-from baselines.video.layout import HULLS, Panel, Picture
-from baselines.video.recording import Voyage, voyage
+from baselines.video.layout import FrameRenderer, Panel
+from baselines.video.recording import Trajectory, trajectory_of
 
 VIDEO_SIZE = (480, 360)
-"""Width and height [px] of a film where none is asked for."""
+"""Default width and height [px]."""
 FPS = 12
-"""Pictures a second where no other number is asked for."""
+"""Default number of frames per second."""
 SPEED = 4.0
-"""How many times faster than the vehicles a film is played where nothing else is said."""
-_LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC", "ekf": "Kalman filter"}
-"""What policies are, for those who do not know their names."""
+"""Default playback speed, as a multiple of real time."""
+_LABELS = {EXPERT: "expert", ORACLE: "oracle: known disturbances", "nmpc": "EKF + MPC", "ekf": "Kalman filter"}
+"""Labels that say what kind of policy a name stands for."""
 
 
 @dataclass(frozen=True)
-class Film:
-    """Some voyages through the same sea, and how they are to be shown.
+class Video:
+    """A video of several policies in the same episode.
 
     Args:
-        voyages: what the policies did in one episode.
-        title: what sea it is.
+        trajectories: one for each policy.
+        title: text of the title.
         size: width and height [px].
-        fps: pictures a second.
-        speed: how many times faster than the vehicles it is played.
-        seconds: its length [s]; None: the whole episode.
+        fps: frames per second.
+        speed: playback speed, as a multiple of real time.
+        seconds: length of the video [s]; None: the whole episode.
     """
 
-    voyages: tuple[Voyage, ...]
+    trajectories: tuple[Trajectory, ...]
     title: str
     size: tuple[int, int] = VIDEO_SIZE
     fps: int = FPS
@@ -53,28 +55,35 @@ class Film:
 
     @cached_property
     def times(self) -> list[float]:
-        """The moments [s] of the episode that are shown, one for each picture."""
-        whole = max(float(v.time[-1]) for v in self.voyages)
+        """The times of the episode [s], one for each frame; the first frame shows the end, as a summary."""
+        whole = max(float(v.time[-1]) for v in self.trajectories)
         end = whole if self.seconds is None else min(self.seconds * self.speed, whole)
-        pictures = math.floor(end * self.fps / self.speed) + 1
-        return [k * self.speed / self.fps for k in range(pictures)]
+        count = math.floor(end * self.fps / self.speed) + 1
+        return [end, *(k * self.speed / self.fps for k in range(count))]
 
     def frames(self, count: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield the pictures, arrays (height, width, 3); with a count only the first ones."""
-        longest = max(self.voyages, key=lambda v: len(v.time))
-        panels = [Panel(v, label_of(v.policy), hull) for v, hull in zip(self.voyages, HULLS, strict=False)]
+        """Yield the frames, arrays (height, width, 3); only the first `count`, if it is given."""
+        longest = max(self.trajectories, key=lambda v: len(v.time))
+        policies = [v.policy for v in self.trajectories]
+        panels = [Panel(v, label_of(v.policy), _rgb(look(v.policy, policies).colour)) for v in self.trajectories]
         path = longest.reference[:, :2]
-        picture = Picture(import_pygame(), self.size, self.title, panels, path, self.speed)
+        renderer = FrameRenderer(import_pygame(), self.size, self.title, panels, path, self.speed)
         for time in self.times[:count]:
-            yield picture.at(time)
+            yield renderer.frame_at(time)
+
+
+def _rgb(colour: str) -> Color:
+    """Return the numbers of a colour #rrggbb."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
 
 
 def label_of(policy: str) -> str:
-    """Return what a policy is, in a word or two."""
+    """Return a short text that says what kind of policy a name stands for."""
     return _LABELS.get(policy) or ("trained agent" if agent_folder(policy.partition(":")[0]) else "controller")
 
 
-def film(
+def video_of(
     policies: Sequence[str],
     scenario: Scenario | str,
     seed: int = 0,
@@ -83,14 +92,14 @@ def film(
     fps: int = FPS,
     speed: float = SPEED,
     seconds: float | None = None,
-) -> Film:
-    """Run policies through the episode of a seed and return the film of it; see `make_film`."""
+) -> Video:
+    """Run policies through the episode of a seed and return the video; see `make_video`."""
     cell = drawn(as_scenario(scenario), 1, seed)
-    voyages = tuple(voyage(policy, cell.scenario, cell.episodes[0]) for policy in policies)
-    return Film(voyages, f"{cell.scenario.name}, seed {seed}", size, fps, speed, seconds)
+    trajectories = tuple(trajectory_of(policy, cell.scenario, cell.episodes[0]) for policy in policies)
+    return Video(trajectories, f"{cell.scenario.name}, seed {seed}", size, fps, speed, seconds)
 
 
-def make_film(
+def make_video(
     out: Path | str,
     policies: Sequence[str],
     scenario: Scenario | str,
@@ -101,28 +110,25 @@ def make_film(
     speed: float = SPEED,
     seconds: float | None = None,
 ) -> Path:
-    """Film policies side by side in one episode, the same sea for all, and write the file.
+    """Make a video of policies side by side in the same episode, write it to a file and return the file.
 
-    Each policy has a panel with vehicle, reference, trail and current; below them are the position errors of all.
+    Each policy has a panel with vehicle, reference, trail and current; a chart below shows the position errors of all.
 
     Args:
-        out: the file: .webp or .gif (a loop, needs Pillow) or .mp4 (needs imageio-ffmpeg). Its folder is made.
-        policies: one to five, see `baselines.make_policy`.
+        out: the file: .webp or .gif (a loop, needs Pillow) or .mp4 (needs imageio-ffmpeg). Its folder is created.
+        policies: one to five names, see `baselines.make_policy`.
         scenario: a `Scenario`, or a preset's name.
-        seed: of the episode, the one of an environment that is reset with it.
+        seed: seed of the episode; an environment that is reset with this seed runs the same episode.
         size: width and height [px].
-        fps: pictures a second.
-        speed: how many times faster than the vehicles it is played.
-        seconds: length of the film [s]; None: the whole episode.
-
-    Returns:
-        The file.
+        fps: frames per second.
+        speed: playback speed, as a multiple of real time.
+        seconds: length of the video [s]; None: the whole episode.
 
     Raises:
-        DependencyNotInstalled: pygame, or what writes such a file, is missing.
-        OSError: a policy cannot be read, or the file not be written.
-        ValueError: there is no such policy or scenario, or the file's ending is unknown.
+        DependencyNotInstalled: pygame, or the library for this format, is missing.
+        OSError: a policy cannot be read, or the file cannot be written.
+        ValueError: there is no such policy or scenario, or the suffix of the file is unknown.
         PolicyError: a policy gave no usable action.
     """
-    made = film(policies, scenario, seed, size=size, fps=fps, speed=speed, seconds=seconds)
-    return save_video(made.frames(), Path(out), fps)
+    video = video_of(policies, scenario, seed, size=size, fps=fps, speed=speed, seconds=seconds)
+    return save_video(video.frames(), Path(out), fps)

@@ -1,4 +1,4 @@
-"""The live page, at live/ beside the built pages, by the command that makes it."""
+"""Builds the live page in live/, next to the built pages."""
 
 import importlib.util
 from pathlib import Path
@@ -7,7 +7,7 @@ from sphinx.application import Sphinx
 
 
 def write(app: Sphinx, exception: Exception | None) -> None:
-    """Write the page once all others are there; with the tag `quick` there is none."""
+    """Write the live page after all other pages; not with the tag `quick`."""
     if exception is None and "quick" not in app.tags and importlib.util.find_spec("research.site.live"):
         from research.site.live.page import write_page as write_live_page
 

@@ -1,7 +1,7 @@
-"""Docstrings for autodoc: Markdown with Google's sections, units of fields from the comments behind them.
+"""Docstrings for autodoc in Markdown with Google's sections; comments after fields are their documentation.
 
-autodoc reads docstrings as reStructuredText. Here each is handed to MyST as it is, once Napoleon has made field lists
-of its `Args:`, `Returns:` and `Raises:`. Names in backticks become links, on all pages, where they are documented.
+autodoc reads docstrings as reStructuredText. Here Napoleon turns `Args:`, `Returns:` and `Raises:` into field lists,
+and MyST parses the result as Markdown. On all pages, names of documented objects in backticks become links.
 """
 
 import re
@@ -19,27 +19,27 @@ from sphinx.util.docutils import SphinxDirective
 
 SECTIONS = Config(napoleon_use_rtype=False, napoleon_use_ivar=True)
 FIELD = re.compile(r"^(    \w+: [^#\n]*?|\w+(?: =|: )[^#\n]*?(?=  # ))(?:  # (.*))?$", re.MULTILINE)
-"""A field of a class, or a constant with a comment: what autodoc documents if the comment begins with `#:`."""
+"""A field of a class, or a constant with a comment. autodoc documents it if the comment begins with `#:`."""
 NAME = re.compile(r"(?:auv_gym|baselines)(?:\.\w+)*|[A-Z]\w*[a-z]\w*(?:\.\w+)?")
-"""What may be a link: a full name, or that of a class, with or without one of its members."""
+"""A name that can become a link: a full name, or the name of a class or of a member of it."""
 
 
 class Markdown(SphinxDirective):
-    """Markdown amid reStructuredText."""
+    """Markdown inside of reStructuredText."""
 
     has_content = True
 
     def run(self) -> list[nodes.Node]:
-        """Return what MyST makes of the content."""
+        """Return the nodes that MyST parses from the content."""
         document = new_document(self.get_source_info()[0], self.state.document.settings)
         MystParser().parse("\n".join(self.content), document)
         for node in document.findall():
-            node.document = self.state.document  # else each docstring is kept with a whole document
+            node.document = self.state.document  # otherwise each docstring keeps a whole document in memory
         return list(document.children)
 
 
 class Links(SphinxTransform):
-    """Makes links of names in backticks; those that lead nowhere stay as they are."""
+    """Turns names in backticks into links; a name without a target stays unchanged."""
 
     default_priority = 400
 
@@ -54,13 +54,13 @@ class Links(SphinxTransform):
                 link = addnodes.pending_xref("", refdomain="py", reftype="obj", reftarget=name, refexplicit=True)
                 link.update_all_atts({**inside, "refdoc": self.env.docname})
                 if NAME.fullmatch(name) and not name.startswith(("auv_gym", "baselines")):
-                    link["refspecific"] = True  # in whatever module it is
+                    link["refspecific"] = True  # search in all modules
                 literal.replace_self(link)
                 link += literal
 
 
 def enclosing(node: nodes.Node) -> dict[str, str]:
-    """Return module and class of the object whose docstring a node is in; empty elsewhere."""
+    """Return the module and class of the object whose docstring contains a node; empty outside of docstrings."""
     while node is not None and not isinstance(node, addnodes.desc):
         node = node.parent
     if node is None or node.get("domain") != "py":
@@ -71,16 +71,16 @@ def enclosing(node: nodes.Node) -> dict[str, str]:
 
 
 def docstring(_app: Sphinx, what: str, _name: str, _value: Any, _options: Any, lines: list[str]) -> None:
-    """Wrap a docstring in the directive; its headings become bold lines."""
+    """Wrap a docstring in the directive `markdown`; its headings become bold lines."""
     if what == "attribute" and not re.search(r"[`*|\\]|_\b", "\n".join(lines)):
-        return  # plain words are the same in both languages
+        return  # plain text is the same in both markup languages
     text = lines if what in ("attribute", "data") else GoogleDocstring(lines, SECTIONS).lines()
     text = re.sub(r"^#+ (.*)$", r"**\1**\n", "\n".join(text), flags=re.MULTILINE).splitlines()
     lines[:] = [".. markdown::", "", *("   " + line for line in text), ""]
 
 
 def document_fields(modules: list[str]) -> None:
-    """Tell autodoc of the comments behind fields and constants; fields without one are documented, too."""
+    """Make autodoc document fields and constants with the comments after them, and fields without a comment too."""
     for name in modules:
         known = ModuleAnalyzer.for_module(name)
         marked = ModuleAnalyzer.for_string(FIELD.sub(r"\1  #: \2", known.code), name)
@@ -88,7 +88,7 @@ def document_fields(modules: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Add directive, transform and hook."""
+    """Add the directive, the transform and the event handler."""
     app.setup_extension("sphinx.ext.autodoc")
     app.add_directive("markdown", Markdown)
     app.add_transform(Links)

@@ -1,6 +1,6 @@
-"""The reference from docstrings, in docs/api/: a page of public names for each package, a page for each module.
+"""Writes the API reference to docs/api/: a page of public names for each package, and pages for the modules.
 
-The pages are written before Sphinx looks for pages, and are not kept in git. Those of modules are not searched.
+The pages are written before Sphinx collects its sources, and are not kept in git. The site's search skips them.
 """
 
 import importlib
@@ -17,44 +17,48 @@ from sphinx.application import Sphinx
 
 PACKAGES = ("auv_gym", "baselines")
 KINDS = ("class", "function", "data")
-"""Kinds of objects in the order in which a page has them."""
-LONGEST_VALUE = 60  # characters of a constant's value that is shown
+"""Kinds of objects, in the order of a page."""
+LONGEST_VALUE = 60  # [characters] longest value of a constant on a page
 
 
 def modules(package: str, *, quick: bool) -> list[str]:
-    """Return a package and all that is in it, by name, private modules left out; quick: what is directly in it."""
+    """Return the names of a package and of all its public modules; with `quick` only of those directly in it."""
     path = importlib.import_module(package).__path__
     entries = pkgutil.iter_modules(path, f"{package}.") if quick else pkgutil.walk_packages(path, f"{package}.")
     return [package, *(entry.name for entry in entries if "._" not in entry.name)]
 
 
-def first_line(name: str) -> str:
-    """Return what a module's docstring begins with."""
+def first_paragraph(name: str) -> str:
+    """Return the first paragraph of a module's docstring."""
     return (importlib.import_module(name).__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
 
 
 def pages(package: str, found: list[str]) -> dict[str, str]:
-    """Return the reference of a package: its own page, one for each module in it, one for each package in it."""
+    """Return the text of each page of a package's reference: the package, its modules, and its inner packages."""
     packages = {name for name in found if hasattr(importlib.import_module(name), "__path__")}
-    homes = {name: [name] for name in found if name in packages or name.count(".") == 1}
+    members = {name: [name] for name in found if name in packages or name.count(".") == 1}
     for name in found:
-        if name not in homes:
-            homes[name.rpartition(".")[0]].append(name)
+        if name not in members:
+            members[name.rpartition(".")[0]].append(name)
     texts = {
-        home: "\n".join(["---\nnosearch: true\n---\n", f"# {home}\n", *(section(name, home) for name in inner)])
-        for home, inner in homes.items()
+        page: "\n".join(["---\nnosearch: true\n---\n", f"# {page}\n", *(section(name, page) for name in inner)])
+        for page, inner in members.items()
     }
-    texts[package] = f"# {package}\n\n{public_names(package)}\n## Modules\n\nWhat is not listed above is internal.\n"
-    rows = [f"| [{home}]({home}.md) | {first_line(home)} |" for home in homes if home != package]
-    table = "\n".join(["", "| module | what is in it |", "|---|---|", *rows])
-    texts[package] += f"{table}\n\n```{{toctree}}\n:hidden:\n\n" + "\n".join(name for name in homes if name != package)
+    texts[package] = (
+        f"# {package}\n\n{public_names(package)}\n## Modules\n\nNames that are not listed above are internal.\n"
+    )
+    rows = [f"| [{page}]({page}.md) | {first_paragraph(page)} |" for page in members if page != package]
+    table = "\n".join(["", "| module | content |", "|---|---|", *rows])
+    texts[package] += f"{table}\n\n```{{toctree}}\n:hidden:\n\n" + "\n".join(
+        page for page in members if page != package
+    )
     texts[package] += "\n```\n"
     return texts
 
 
-def section(name: str, home: str) -> str:
-    """Return a module's part of a page, with a heading unless it is the page's own."""
-    heading = "" if name == home else f"## {name.removeprefix(home + '.')}\n\n"
+def section(name: str, page: str) -> str:
+    """Return the section of a module on a page; it has a heading unless the page is the module's own."""
+    heading = "" if name == page else f"## {name.removeprefix(page + '.')}\n\n"
     return f"{heading}```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n```\n"
 
 
@@ -64,7 +68,7 @@ def kind_of(value: object) -> str:
 
 
 def public_names(package: str) -> str:
-    """Return the documentation of the names in a package's `__all__`; links lead to the modules that define them."""
+    """Return the documentation of the names in a package's `__all__`; links point to the modules that define them."""
     module = importlib.import_module(package)
     kinds = {name: kind_of(getattr(module, name)) for name in module.__all__}
     options = {"class": "   :members:\n", "function": "", "data": "   :no-value:\n"}
@@ -75,7 +79,7 @@ def public_names(package: str) -> str:
 
 
 def shortened(_app: Sphinx, *described: Any) -> tuple[str, str | None] | None:
-    """Return a signature with short default values: `Circle(...)` in place of an object with all its fields."""
+    """Return a signature with short default values, such as `Circle(...)` instead of an object with all its fields."""
     *_, signature, returns = described
     if signature is None:
         return None
@@ -83,34 +87,34 @@ def shortened(_app: Sphinx, *described: Any) -> tuple[str, str | None] | None:
 
 
 def tidy(_app: Sphinx, document: nodes.document) -> None:
-    """Put classes before functions and constants, and leave out long values of constants."""
+    """Sort classes before functions before constants, and remove long values of constants."""
     for value in list(document.findall(addnodes.desc_annotation)):
         if value.astext().lstrip().startswith("=") and len(value.astext()) > LONGEST_VALUE:
             value.parent.remove(value)
-    for home in document.findall(nodes.section):
-        units = [own_nodes(home, node) for node in home if isinstance(node, addnodes.desc)]
-        first = home.index(units[0][0]) if units else 0
+    for part in document.findall(nodes.section):
+        units = [description_nodes(part, node) for node in part if isinstance(node, addnodes.desc)]
+        first = part.index(units[0][0]) if units else 0
         moved = [node for unit in sorted(units, key=rank) for node in unit]
         for node in moved:
-            home.remove(node)
+            part.remove(node)
         for node in reversed(moved):
-            home.insert(first, node)
+            part.insert(first, node)
 
 
 def rank(unit: list[nodes.Element]) -> int:
-    """Return the place of an object's kind among `KINDS`."""
+    """Return the index of an object's kind in `KINDS`."""
     kind = {"exception": "class"}.get(unit[-1]["objtype"], unit[-1]["objtype"])
     return KINDS.index(kind) if kind in KINDS else len(KINDS)
 
 
-def own_nodes(home: nodes.Element, node: nodes.Element) -> list[nodes.Element]:
-    """Return an object's description, with its entry for the index before it if there is one."""
-    before = home[max(0, home.index(node) - 1)]
+def description_nodes(part: nodes.Element, node: nodes.Element) -> list[nodes.Element]:
+    """Return the description of an object in a section, preceded by its index entry if there is one."""
+    before = part[max(0, part.index(node) - 1)]
     return [before, node] if isinstance(before, addnodes.index) else [node]
 
 
 def write(app: Sphinx) -> None:
-    """Write all pages; with the tag `quick` without the modules of the inner packages of `baselines`."""
+    """Write all pages; with the tag `quick`, those of the inner packages of `baselines` have no modules."""
     found = {p: modules(p, quick="quick" in app.tags and p == "baselines") for p in PACKAGES}
     texts = {name: text for package, names in found.items() for name, text in pages(package, names).items()}
     document_fields(found["auv_gym"] + found["baselines"])
@@ -118,7 +122,7 @@ def write(app: Sphinx) -> None:
 
 
 def replace_folder(folder: Path, texts: dict[str, str]) -> None:
-    """Make these the Markdown files of a folder; a file that is the same already is left alone, and not read again."""
+    """Make these texts the Markdown files of a folder; unchanged files are not written, so Sphinx skips them."""
     folder.mkdir(exist_ok=True)
     for file in set(folder.glob("*.md")) - {folder / name for name in texts}:
         file.unlink()
@@ -129,7 +133,7 @@ def replace_folder(folder: Path, texts: dict[str, str]) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect the hook."""
+    """Connect the event handlers."""
     app.connect("autodoc-process-signature", shortened)
     app.connect("builder-inited", write)
     app.connect("doctree-read", tidy)

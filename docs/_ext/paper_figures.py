@@ -1,12 +1,12 @@
-"""The directive `paper-figure`: one of the paper's figures, recomputed when a page that shows it is read."""
+"""The directive `paper-figure`: one of the paper's figures, recomputed when Sphinx reads the page."""
 
 import functools
 from pathlib import Path
 
 from docutils import nodes
-from films import FOLDER, figure
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from videos import FOLDER, figure
 
 from research.paper.figures import paper_figures
 from research.paper.numbers import reproduce_paper

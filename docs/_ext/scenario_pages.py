@@ -1,6 +1,6 @@
-"""A page for each preset: its disturbance, its numbers with their units, and the policies in it, best score first.
+"""Writes a page for each preset to docs/scenarios/: disturbances, parameters with units, results by score.
 
-The pages are written into docs/scenarios/ before Sphinx looks for pages, and are not kept in git.
+The pages are written before Sphinx collects its sources, and are not kept in git.
 """
 
 import re
@@ -22,7 +22,7 @@ from baselines.evaluation.suites import load_suite
 from research.pages import table
 
 SHOWN = ("steady [m]", "p95 [m]", "score", "failures", "settled [s]", "effort")
-"""Columns of the evaluation that a page has."""
+"""The columns of the table of results."""
 SUITE = "benchmark-v2"
 PAGE = """# {name}
 
@@ -32,13 +32,13 @@ PAGE = """# {name}
 env = gym.make("auv_gym:UnderactuatedAUVTrack-{name}-v0")
 ```
 
-```{{film}} {name}
+```{{video}} {name}
 ```
 {standings}
 ## Parameters
 
 Fields of the [`Scenario`](../api/auv_gym.scenarios.md) and of its parts. Parts that are off are left out. Each episode
-draws its own value from an interval.
+draws its value from an interval.
 
 {parameters}
 """
@@ -72,7 +72,7 @@ def parameters(scenario: Scenario) -> str:
 
 
 def numbers(part: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
-    """Return name, value and comment of a dataclass's fields and of those in it; of a part what is not its default."""
+    """Return name, value and comment of the fields of a dataclass and of its parts; of a part only changed fields."""
     comments = ModuleAnalyzer.for_module(type(part).__module__).find_attr_docs()
     found = []
     for field in fields(part):
@@ -85,7 +85,7 @@ def numbers(part: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
 
 
 def text(value: Any) -> str:
-    """Return a value, an interval by its ends."""
+    """Return a value as text; a tuple of two numbers is an interval."""
     if isinstance(value, tuple):
         is_interval = len(value) == 2 and not any(isinstance(end, str) for end in value)
         return ("\N{NO-BREAK SPACE}...\N{NO-BREAK SPACE}" if is_interval else ", ").join(text(part) for part in value)
@@ -108,6 +108,6 @@ def write(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect the hook after that of the modules' pages, which reads the comments of fields."""
+    """Connect the event handler; it must run after that of the modules' pages, which reads the comments of fields."""
     app.connect("builder-inited", write, priority=600)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

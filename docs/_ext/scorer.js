@@ -1,4 +1,4 @@
-// Sphinx's scores, but for names of the code: they are found behind all pages.
+// Sphinx's scores, except for names of the code, which are listed after all pages.
 var Scorer = {
   objNameMatch: -10,
   objPartialMatch: -20,

@@ -1,7 +1,7 @@
-"""The search of the site: words that lead to a page, and names of the code behind all pages.
+"""Improves the site's search: search terms for pages, and a lower rank for names of the code.
 
-Sphinx ranks a name of the code above a page, and does not know that a reader who types "SB3" wants the page on other
-libraries. So pages get index entries, which its search ranks first, and scorer.js takes names of the code down.
+Sphinx ranks names of the code above pages, and finds no page for synonyms such as "SB3". Index entries, which its
+search ranks first, therefore add search terms to pages, and scorer.js lowers the rank of names of the code.
 """
 
 from docutils import nodes
@@ -24,7 +24,7 @@ WORDS = {
     "on-a-vehicle": ("ROS", "ROS 2", "NED"),
     "citing": ("cite", "citation", "BibTeX"),
 }
-"""What a reader may type, by the page that answers it."""
+"""Search terms by page."""
 
 
 def add_words(app: Sphinx, document: nodes.document) -> None:
@@ -34,6 +34,6 @@ def add_words(app: Sphinx, document: nodes.document) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect the hook."""
+    """Connect the event handler."""
     app.connect("doctree-read", add_words)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,5 +1,5 @@
-// Tables of four columns or more are sorted by a click on a heading, or by Enter on it: by the first number of each
-// cell where most cells have one, else by their text.
+// Tables with at least four columns can be sorted by a click on a heading, or by Enter on it. The key is the first number
+// of each cell if most cells have one, otherwise the text.
 "use strict";
 
 const NUMBER = /^[^\d-]{0,3}(-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?)/;

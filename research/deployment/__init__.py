@@ -1,1 +1,1 @@
-"""Exported policies on an emulated microcontroller and in ONNX Runtime: same actions, time, memory."""
+"""Exported agents on an emulated microcontroller and in ONNX Runtime: accuracy, time and memory."""

@@ -1,6 +1,6 @@
-"""An agent's header on an emulated Cortex-M4: does it give the same commands, with how many instructions and bytes?
+"""Run the C header of an agent on an emulated Cortex-M4: its commands, its instructions and its memory.
 
-QEMU counts instructions, not cycles: a Cortex-M4 takes one to a few cycles for each, more where its flash is slow.
+QEMU counts instructions, not cycles. A Cortex-M4 takes one to a few cycles for each, and more if its flash is slow.
 """
 
 from __future__ import annotations
@@ -24,52 +24,49 @@ COMPILER = "arm-none-eabi-gcc"  # Debian's gcc-arm-none-eabi, with libnewlib-arm
 _SIZE = "arm-none-eabi-size"  # Debian's binutils-arm-none-eabi
 EMULATOR = "qemu-system-arm"  # Debian's package of that name
 PROGRAMS = (COMPILER, _SIZE, EMULATOR)
-"""What must be installed."""
+"""Programs that must be installed."""
 _FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-O2", "-Wall", "-Wextra")
-"""For a Cortex-M4 with its floating-point unit."""
+"""Options of the compiler for a Cortex-M4 with floating-point unit."""
+_SOURCE = f'#define {PREFIX.upper()}_IMPLEMENTATION\n#include "{PREFIX}.h"\n'
+"""C source with the functions of the header only, to measure their size and stack."""
 INSTRUCTIONS_IN_A_TICK = 40
-"""The system timer of the board runs at 25 MHz, and an instruction is made to take 1 ns."""
-_PATIENCE = 120.0
-"""Seconds that a program may take."""
+"""The system timer of the board runs at 25 MHz, and QEMU is set to 1 ns for an instruction."""
+_TIMEOUT = 120.0
+"""Longest run of a program [s]."""
 
 
 @dataclass(frozen=True)
 class Emulated:
-    """What the emulated processor did."""
+    """Results of a run on the emulated processor."""
 
     commands: NDArray[np.float32]  # shape (K, 2)
-    instructions: float  # of a decision, on average
-    code: int  # [bytes] of code and constants
-    memory: int  # [bytes] of what is remembered
-    stack: int  # [bytes] at most
-
-
-def _missing() -> list[str]:
-    """Return the programs that are not installed."""
-    return [name for name in PROGRAMS if shutil.which(name) is None]
+    instructions: float  # mean number for one decision
+    code: int  # [bytes] code and constants
+    memory: int  # [bytes] memory of the agent between decisions
+    stack: int  # [bytes] largest stack
 
 
 def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any], weights: str = "float32") -> Emulated:
-    """Return what an agent in single precision does in K situations.
+    """Run an agent in single precision on K observations and return the results.
 
     Args:
-        agent: whose header it is.
+        agent: the agent whose header runs.
         observations: shape (K, n).
-        memories: what it remembers with each of them, the numbers of the header's struct, shape (K, m).
-        weights: how they are stored, see `c_header.c_header`.
+        memories: the memory of the agent before each decision, as numbers of the header's struct, shape (K, m).
+        weights: storage of the weights, see `c_header.c_header`.
 
     Raises:
         OSError: a program is missing or fails.
     """
-    if lacking := _missing():
-        raise OSError(f"not installed: {', '.join(lacking)}")
+    if missing := [name for name in PROGRAMS if shutil.which(name) is None]:
+        raise OSError(f"not installed: {', '.join(missing)}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / f"{PREFIX}.h").write_text(c_header(agent, "float32", weights), encoding="utf-8")
         tables = _table("observations", observations) + _table("memories", memories)
-        situations = f"enum {{ SITUATIONS = {len(observations)} }};\n{tables}"
-        (folder / "situations.h").write_text(situations, encoding="utf-8")
-        (folder / "agent.c").write_text(_alone(), encoding="utf-8")
+        inputs = f"enum {{ DECISIONS = {len(observations)} }};\n{tables}"
+        (folder / "inputs.h").write_text(inputs, encoding="utf-8")
+        (folder / "agent.c").write_text(_SOURCE, encoding="utf-8")
         _run(folder, COMPILER, *_FLAGS, "-fstack-usage", "-c", "agent.c", "-o", "agent.o")
         sizes = _run(folder, _SIZE, "agent.o").splitlines()[1].split()
         stack = sum(int(line.split("\t")[1]) for line in (folder / "agent.su").read_text().splitlines())
@@ -89,24 +86,19 @@ def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any]
     return Emulated(commands, instructions, int(sizes[0]) + int(sizes[1]), memory, stack)
 
 
-def _alone() -> str:
-    """Return a file with the header's functions and nothing else."""
-    return f'#define {PREFIX.upper()}_IMPLEMENTATION\n#include "{PREFIX}.h"\n'
-
-
 def _table(name: str, table: NDArray[Any]) -> str:
-    """Return rows of numbers as a C table."""
+    """Return an array of two dimensions as the definition of a C array."""
     rows = ",\n".join(f"{{{', '.join(f'{x!r}f' for x in row)}}}" for row in table.astype(np.float32).tolist())
     count, size = table.shape
     return f"static const float {name}[{count}][{size}] = {{\n{rows}\n}};\n"
 
 
 def _run(folder: Path, *command: str) -> str:
-    """Return what a program writes; raise OSError where it fails."""
+    """Run a program and return its output; raise OSError if it fails."""
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_PATIENCE, check=True)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT, check=True)
     except subprocess.CalledProcessError as error:
         raise OSError(f"{command[0]} fails: {error.stderr.strip()[-500:]}") from error
     except subprocess.TimeoutExpired as error:
-        raise OSError(f"{command[0]} takes longer than {_PATIENCE:g} s") from error
+        raise OSError(f"{command[0]} takes longer than {_TIMEOUT:g} s") from error
     return done.stdout + done.stderr

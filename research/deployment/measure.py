@@ -1,4 +1,4 @@
-"""Measure what export costs and whether it is exact: `python -m research deployment --help`."""
+"""Measure accuracy, time and size of exported agents: `python -m research deployment --help`."""
 
 from __future__ import annotations
 
@@ -31,33 +31,33 @@ from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
 PROGRAM = "python -m research deployment"
-_SUITE = "benchmark-v1"  # whose score it is
-_CASE = "storm"  # of the episodes in which commands are compared: every disturbance at once
-_SEED = 5  # of those episodes
-_SITUATIONS = 200  # that the emulated processor decides in
+_SUITE = "benchmark-v1"  # suite of the score
+_CASE = "storm"  # case in which commands are compared: all disturbances together
+_SEED = 5  # seed of the episodes in which commands are compared
+_DECISIONS = 200  # number of decisions on the emulated processor
 
 
 @dataclass(frozen=True)
 class Options:
-    """Measure exported agents: equality with the agent over whole episodes, speed, size, and the score that is lost.
+    """Measure exported agents: difference from the agent over whole episodes, speed, size, and loss of score.
 
     Exit status: 0 done, 1 a program is missing, 2 wrong usage.
     """
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]")] = ()
-    """Which of the agents that ship with the package; without any, all."""
+    """Names of shipped agents. Default: all."""
     episodes: int = 64
-    """Episodes of each cell of the suite that the score is of."""
+    """Episodes of each cell of the suite for the score."""
     out: Path = MEASURED_FILE
-    """File for what was measured; `python -m research pages export` shows it."""
+    """File for the measurements; `python -m research pages export-cost` shows them."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of an agent."""
+    """Measurements of one agent."""
 
     name: str
-    onnx64: float  # largest difference of a command over whole episodes, each in its own loop
+    onnx64: float  # largest difference of a command over whole episodes, each in its own closed loop
     onnx32: float
     c64: float
     c32: float
@@ -66,19 +66,19 @@ class Measured:
     c_us: float
     header: int  # [bytes]
     model: int  # [bytes]
-    score: float  # of the agent, on the episodes that the others run
-    lost32: tuple[float, float, float]  # score that the header loses, mean and interval
-    lost8: tuple[float, float, float]  # with weights of int8
+    score: float  # score of the agent on NumPy, in the same episodes
+    lost32: tuple[float, float, float]  # loss of score of the header, mean and interval
+    lost8: tuple[float, float, float]  # the same with int8 weights
     m4: float  # largest difference of a command on the emulated processor
-    instructions: float  # of a decision there
-    code: int  # [bytes] of code and constants there
-    code8: int  # with weights of int8
+    instructions: float  # for a decision on the emulated processor
+    code: int  # [bytes] code and constants on the emulated processor
+    code8: int  # the same with int8 weights
     memory: int  # [bytes]
     stack: int  # [bytes]
 
 
 def _measured(name: str, episodes: int) -> Measured:
-    """Return what is measured of an agent.
+    """Measure an agent and return the results.
 
     Raises:
         ImportError: onnx or onnxruntime is not installed.
@@ -115,19 +115,19 @@ def _measured(name: str, episodes: int) -> Measured:
         score=scores["numpy"][0],
         lost32=scores["float32"],
         lost8=scores["int8"],
-        **_on_m4(agent, header, observations[:_SITUATIONS]),
+        **_on_m4(agent, header, observations[:_DECISIONS]),
     )
 
 
 def _moments(agent: Exported, policy: Policy) -> list[Moment]:
-    """Return what a policy does in the episodes for comparison."""
+    """Return the control steps of a policy in the episodes in which commands are compared."""
     scenario = PRESETS[f"{speed_range_of(agent.agent.scenarios[0])}-{_CASE}"]
     cell = scenario, drawn(scenario, 4, _SEED).episodes
     return list(Repeatable(lambda preview: beginning([cell], preview)).play(policy, scenario.steps))
 
 
 def _seconds(policy: Policy, observations: NDArray[Any]) -> float:
-    """Return the processor time [s] of a decision of one vehicle."""
+    """Return the processor time [s] of a decision for one vehicle."""
     memory, begin = None, time.process_time()
     for observation in observations:
         _, memory = policy.predict(observation, memory)
@@ -135,26 +135,26 @@ def _seconds(policy: Policy, observations: NDArray[Any]) -> float:
 
 
 def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) -> Mapping[str, Any]:
-    """Return what an emulated processor does in situations that the header meets, decision by decision."""
+    """Run the header on the emulated processor, for the observations of an episode, and return the measurements."""
     memory, commands, memories = None, [], []
     for observation in observations:
         memories.append(np.zeros(header.numbers) if memory is None else memory[0][0])
         command, memory = header.predict(observation, memory)
         commands.append(command)
-    there = emulated(agent, observations, np.array(memories))
+    found = emulated(agent, observations, np.array(memories))
     small = emulated(agent, observations[:1], np.array(memories[:1]), "int8")
     return {
-        "m4": float(np.abs(there.commands - np.array(commands)).max()),
-        "instructions": there.instructions,
-        "code": there.code,
+        "m4": float(np.abs(found.commands - np.array(commands)).max()),
+        "instructions": found.instructions,
+        "code": found.code,
         "code8": small.code,
-        "memory": there.memory,
-        "stack": there.stack,
+        "memory": found.memory,
+        "stack": found.stack,
     }
 
 
 def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
-    """Return the recorded score of an agent as "numpy", and what the policies lose of it, with intervals."""
+    """Return the recorded score of an agent, as "numpy", and the loss of score of each policy, with intervals."""
     suite = suites.load_suite(_SUITE)
     kept = [{r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
@@ -177,10 +177,10 @@ def _triple(score: Score) -> tuple[float, float, float]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure as the arguments say and return the exit status.
+    """Measure agents and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense, or a library is missing.
+        UsageError: the arguments are invalid, or a library is missing.
         OSError: a compiler or the emulator is missing.
     """
     options = parse(Options, arguments, PROGRAM)
@@ -190,10 +190,10 @@ def main(arguments: Sequence[str]) -> int:
         try:
             found.append(_measured(name, options.episodes))
         except ImportError:
-            raise UsageError(f"what is measured needs the libraries: {install('export')}") from None
+            raise UsageError(f"the measurement needs ONNX: {install('export')}") from None
         last = found[-1]
-        failed = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
-        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {failed}", flush=True)
+        loss = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
+        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, loss of score {loss}", flush=True)
     agents = _kept(options.out, options.episodes) | {m.name: asdict(m) for m in found}
     record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -202,10 +202,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _kept(file: Path, episodes: int) -> dict[str, Any]:
-    """Return what was measured before with as many episodes, by agent.
+    """Return the earlier measurements with the same number of episodes, by agent.
 
     Raises:
-        UsageError: the file holds something else.
+        UsageError: the file is not a record of this command.
     """
     with checked_record(file, PROGRAM):
         record = read_json(file) if file.exists() else {}

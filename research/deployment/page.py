@@ -1,4 +1,4 @@
-"""Tables of docs/export-cost.md: exported agents compared with the agents on NumPy, from data/deployment.json."""
+"""Tables of docs/export-cost.md: exported agents compared with the agents on NumPy."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from research import DATA
 from research.pages import table
 
 MEASURED_FILE = DATA / "deployment.json"
-"""What `research.deployment.measure` has written."""
+"""File that `research.deployment.measure` writes."""
 
 
 def agreement_section() -> str:
-    """Return the largest differences of commands, and the loss of score, with the number of episodes."""
+    """Return the table of the largest differences of commands and of the loss of score."""
     heads = ("agent", "ONNX, double", "ONNX, single", "header, double", "header, single", "score", "loss in single")
     keys = ("onnx64", "onnx32", "c64", "c32")
     record = read_json(MEASURED_FILE)
@@ -26,7 +26,7 @@ def agreement_section() -> str:
 
 
 def rounded_section() -> str:
-    """Return the loss of score with weights of eight bits."""
+    """Return the table of the loss of score with int8 weights."""
     return table(
         ("agent", "score", "loss with int8", "interval"),
         [(a["name"], fixed(a["score"]), fixed(a["lost8"][0], 4), fixed_ends(a["lost8"][1:], 4)) for a in _agents()],
@@ -34,7 +34,7 @@ def rounded_section() -> str:
 
 
 def speed_section() -> str:
-    """Return the processor time of a decision on the computer that measured, and the size of what is exported."""
+    """Return the table of the processor time of a decision on a computer, and of the sizes of the exported files."""
     heads = ("agent", "NumPy", "ONNX Runtime", "header", "header's size", "model's size")
     times, sizes = ("numpy_us", "onnx_us", "c_us"), ("header", "model")
     return table(
@@ -43,7 +43,7 @@ def speed_section() -> str:
 
 
 def cortex_m4_section() -> str:
-    """Return the cost of a decision on the emulated Cortex-M4."""
+    """Return the table of the cost of a decision on the emulated Cortex-M4."""
     heads = ("on the Cortex-M4", "instructions", "difference", "code", "code, int8", "memory", "stack")
     sizes = ("code", "code8", "memory", "stack")
     return table(

@@ -1,4 +1,4 @@
-"""Exported agents as policies: what a header or a model computes, in the place of the agent that it was made of."""
+"""Exported agents as policies: a compiled C header or an ONNX model with Stable-Baselines3's `predict`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ void auv_batch(long n, {PREFIX}_memory *memory, const {PREFIX}_real *observation
         {PREFIX}_step(memory + i, observation + i * {PREFIX.upper()}_OBSERVATION, command + 2 * i);
 }}
 
-void auv_again(long n, {PREFIX}_memory *memory, const {PREFIX}_real *observation, {PREFIX}_real *command)
+void auv_repeat(long n, {PREFIX}_memory *memory, const {PREFIX}_real *observation, {PREFIX}_real *command)
 {{
     for (long i = 0; i < n; i++) {PREFIX}_step(memory, observation, command);
 }}
@@ -31,7 +31,7 @@ void auv_again(long n, {PREFIX}_memory *memory, const {PREFIX}_real *observation
 
 
 class HeaderPolicy:
-    """The functions of a C header, compiled here, with Stable-Baselines3's `predict`."""
+    """A compiled C header with Stable-Baselines3's `predict`."""
 
     def __init__(self, agent: Exported, precision: str = "float32", weights: str = "float32") -> None:
         """Print, compile and load a header, see `c_header.c_header`.
@@ -42,11 +42,11 @@ class HeaderPolicy:
         source = f"#define {PREFIX.upper()}_IMPLEMENTATION\n{c_header(agent, precision, weights)}{_BATCH}"
         library = native.library(source)
         if library is None:
-            raise OSError("there is no C compiler, and a header runs compiled: install gcc or clang")
+            raise OSError("no C compiler is installed to compile the header: install gcc or clang")
         self.preview, self.precision = agent.preview, precision
         self._columns, self.numbers = len(agent.columns), sum(agent.memory.values()) + 2
-        self._batch, self._again = library["auv_batch"], library["auv_again"]
-        for function in (self._batch, self._again):
+        self._batch, self._repeat = library["auv_batch"], library["auv_repeat"]
+        for function in (self._batch, self._repeat):
             function.restype, function.argtypes = None, (ctypes.c_long, *(ctypes.c_void_p,) * 3)
 
     def predict(
@@ -56,7 +56,7 @@ class HeaderPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, one array of a row for each vehicle."""
+        """Return the action (2,) or actions (N, 2), and the memory: one array with a row for each vehicle."""
         rows = np.ascontiguousarray(np.atleast_2d(observation)[:, : self._columns], self.precision)
         n = len(rows)
         (memory,) = renewed(state, (np.zeros((n, self.numbers), self.precision),), episode_start)
@@ -66,11 +66,11 @@ class HeaderPolicy:
         return (action[0] if observation.ndim == 1 else action), (memory,)
 
     def seconds(self, observation: NDArray[Any], decisions: int = 2000) -> float:
-        """Return the processor time [s] of a decision, for an observation (n,), without the way to C and back."""
+        """Return the processor time [s] of a decision in C for an observation (n,), without the cost of the call."""
         row = np.ascontiguousarray(observation[: self._columns], self.precision)
         memory, command = np.zeros(self.numbers, self.precision), np.empty(2, self.precision)
         begin = time.process_time()
-        self._again(decisions, memory.ctypes.data, row.ctypes.data, command.ctypes.data)
+        self._repeat(decisions, memory.ctypes.data, row.ctypes.data, command.ctypes.data)
         return (time.process_time() - begin) / decisions
 
 

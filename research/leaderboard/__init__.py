@@ -1,1 +1,1 @@
-"""The leaderboard: entries, verification, page."""
+"""The leaderboard: its entries, their verification, its page."""

@@ -1,4 +1,4 @@
-"""The leaderboard: a folder of submissions, SUITE/NAME.npz, and which of them the project has run again."""
+"""The leaderboard: a folder of submissions, SUITE/NAME.npz, and the record of those that the project has verified."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from baselines.tools.command_line import printable
 from baselines.tools.files import json_text, read_bytes, read_json, write_atomically
 
 VERIFIED_FILE = "verified.json"
-"""File in the folder that says which submissions were run again: with their own hash, when, and how many episodes."""
+"""File in the folder with the verified submissions: SHA-256 of the file, date and number of episodes of the run."""
 
 
 @dataclass(frozen=True)
@@ -27,22 +27,17 @@ class Leaderboard:
     suite: Suite
     submissions: tuple[Submission, ...]
     entries: tuple[Entry, ...]  # by speed range, the best first
-    verified: Mapping[str, Mapping[str, Any]]  # what `VERIFIED_FILE` says of those that were run again, by name
-
-
-def place_of(submission: Submission, folder: Path) -> Path:
-    """Return the file of a submission in the folder of a leaderboard."""
-    return folder / submission.suite.name / f"{submission.name}.npz"
+    verified: Mapping[str, Mapping[str, Any]]  # entries of `VERIFIED_FILE`, by the name of the submission
 
 
 def enter(submission: Submission, folder: Path, replace: bool = False) -> Path:
     """Write a submission into the folder of a leaderboard and return its file.
 
     Raises:
-        FileExistsError: there is one of that name, and it is not to be replaced.
-        OSError: it cannot be written.
+        FileExistsError: the file exists, and `replace` is false.
+        OSError: the file cannot be written.
     """
-    file = place_of(submission, folder)
+    file = folder / submission.suite.name / f"{submission.name}.npz"
     if file.exists() and not replace:
         raise FileExistsError(f"{file} is there already; choose another name, or --replace it")
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -55,23 +50,26 @@ def boards(folder: Path) -> list[Leaderboard]:
 
     Raises:
         OSError: a file cannot be read.
-        ValueError: one is no submission or lies under another name, or scores cannot be computed.
+        ValueError: a file is no submission or has a wrong name or folder, or scores cannot be computed.
     """
     found, stamps = [], _stamps(folder)
     if stray := [path for path in folder.glob("*/*.npz") if path.parent.name not in list_suites()]:
-        raise ValueError(f"{stray[0]} lies in the folder of no suite; there are {', '.join(list_suites())}")
+        raise ValueError(f"{stray[0]} lies in the folder of no suite; the suites are {', '.join(list_suites())}")
     for name in list_suites():
         files = sorted((folder / name).glob("*.npz"))
         if not files:
             continue
-        submissions = tuple(_placed(file) for file in files)
+        submissions = tuple(_read(file) for file in files)
         suite = submissions[0].suite
-        own = {file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and _counts(file, stamp)}
+        own = {
+            file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and stamp["sha256"] == _digest(file)
+        }
         found.append(Leaderboard(suite, submissions, tuple(entries(submissions, anchor_errors(suite))), own))
     return found
 
 
-def _placed(file: Path) -> Submission:
+def _read(file: Path) -> Submission:
+    """Return the submission of a file; raise ValueError if the file has another name or folder than the submission."""
     submission = read_submission(file)
     if (submission.suite.name, submission.name) != (file.parent.name, file.stem):
         raise ValueError(f"{file} holds {submission.name} in {submission.suite.name}: its name must be the same")
@@ -79,17 +77,17 @@ def _placed(file: Path) -> Submission:
 
 
 def stamp(file: Path, folder: Path, episodes: int, of: int, seed: int) -> None:
-    """Write down that a submission of a leaderboard was reproduced.
+    """Record that a submission of a leaderboard was reproduced.
 
     Args:
         file: the submission.
-        folder: of the leaderboard.
-        episodes: how many of them ran again.
-        of: how many it has.
-        seed: that chose them.
+        folder: the folder of the leaderboard.
+        episodes: number of episodes that were run again.
+        of: number of episodes of the submission.
+        seed: the seed that selected the episodes.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the record cannot be written.
         ValueError: the file is not in the folder.
     """
     if file.resolve().parent.parent != folder.resolve():
@@ -110,11 +108,11 @@ def _digest(file: Path) -> str:
 
 
 def _stamps(folder: Path) -> dict[str, Any]:
-    """Return what was written down of reproductions, nothing where nothing was."""
+    """Return the entries of `VERIFIED_FILE`; {} without the file."""
     file = folder / VERIFIED_FILE
     record = read_json(file) if file.exists() else {}
     if not isinstance(record, dict) or not all(_is_stamp(entry) for entry in record.values()):
-        raise ValueError(f"{file} does not hold what verify writes")
+        raise ValueError(f"{file} is no record of verified submissions")
     return record
 
 
@@ -124,7 +122,3 @@ def _is_stamp(entry: Any) -> bool:
         return False
     plain = all(isinstance(entry[key], kind) for key, kind in types.items())
     return plain and entry["date"] == printable(entry["date"]) and len(entry["date"]) == 10
-
-
-def _counts(file: Path, stamp: Mapping[str, Any]) -> bool:
-    return bool(stamp["sha256"] == _digest(file))

@@ -1,4 +1,4 @@
-"""Keep the leaderboard: enter submissions, run them again, write the page: `python -m research leaderboard --help`."""
+"""Manage the leaderboard: add and verify submissions, write the page: `python -m research leaderboard --help`."""
 
 from __future__ import annotations
 
@@ -30,47 +30,47 @@ from research.leaderboard.page import leaderboard_json, leaderboard_page
 
 PROGRAM = "python -m research leaderboard"
 PAGE = "leaderboard.md"  # file of the page
-TABLE = "leaderboard.json"  # file of its numbers
+TABLE = "leaderboard.json"  # file of the table as data
 OWN = ("backstepping", "nmpc", "helm", "apg-preview-cruise", "apg-preview-slow")
-"""Policies of the project that are on its leaderboard."""
+"""Policies of the project on the leaderboard."""
 SUITE = "benchmark-v2"
-"""The suite in which they are."""
-WORDS = {"enter": ("FILE", 1), "reproduce": ("FILE POLICY", 2), "own": ("no file", 0), "page": ("no file", 0)}
+"""Suite of the project's own entries."""
+_ARGUMENTS = {"enter": ("FILE", 1), "reproduce": ("FILE POLICY", 2), "own": ("no file", 0), "page": ("no file", 0)}
 
 
 @dataclass(frozen=True)
 class Options:
-    """Keep the leaderboard: a folder of submissions, which of them were reproduced, and the page that shows them.
+    """Add submissions to the leaderboard, verify them, and write its page.
 
     Exit status: 0 done, 1 a submission is damaged or not reproduced, 2 wrong usage.
     """
 
     action: Annotated[Positional[Literal["enter", "reproduce", "own", "page"]], arg(metavar="ACTION")]
-    """enter FILE: check a submission and put it on the leaderboard. reproduce FILE POLICY: run a random share of an
-    entry's episodes again and record that it is verified. own: make the project's own entries from its recorded rows,
-    and reproduce them. page: write the page only; the other actions write it too."""
+    """enter FILE: check a submission and add it. reproduce FILE POLICY: run a random share of the episodes of an entry
+    again and record that it is verified. own: make the project's own entries from its recorded rows, and reproduce
+    them. page: write the page only; the other actions write it too."""
     words: Annotated[Positional[tuple[str, ...]], arg(metavar="[FILE [POLICY]]")] = ()
-    """The submission, and the policy as evaluate.py --policy takes it."""
+    """The submission, and the policy as for evaluate.py --policy."""
     share: float = REPRODUCED_SHARE
-    """Share of each case's episodes that is run again, from 0.05 to 1; chance chooses them."""
+    """Share of the episodes of each case that is run again, from 0.05 to 1; they are selected at random."""
     replace: bool = False
-    """Enter in place of an entry of the same name."""
+    """Replace an entry of the same name."""
     folder: Path = Path("leaderboard")
-    """Folder of the leaderboard, SUITE/NAME.npz."""
+    """Folder of the leaderboard, with files SUITE/NAME.npz."""
     out: Path = Path("docs")
-    """Folder for its page, leaderboard.md and leaderboard.json."""
+    """Folder for the page, leaderboard.md, and for leaderboard.json."""
     jobs: int = DEFAULT_JOBS
     """Worker processes."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Do as the arguments say and return the exit status.
+    """Run an action and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
-    wanted, count = WORDS[options.action]
+    wanted, count = _ARGUMENTS[options.action]
     if len(options.words) != count:
         raise UsageError(f"{options.action} takes {wanted}; given are {len(options.words)} words")
     check_numbers(options.share, None, STEP_LIMIT, options.jobs)
@@ -106,9 +106,9 @@ def _enter(options: Options) -> None:
 
 
 def _reproduced(submission: Submission, policy: str, file: Path, options: Options) -> bool:
-    """Run a share of an entry's episodes again and return whether it is verified, which is recorded then.
+    """Run a share of an entry's episodes again, record the success, and return whether the entry is verified.
 
-    It is verified if they are the same, by the policy that was submitted.
+    An entry is verified if the policy is the submitted one and gives the same numbers.
     """
     print(f"{file}:")
     episodes, seed = episodes_to_run(submission, options.share, None)
@@ -127,7 +127,7 @@ def _page(options: Options) -> int:
     except OSError as error:
         raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
     if not found:
-        raise UsageError(f"there is no submission in --folder {options.folder}; expected is SUITE/NAME.npz")
+        raise UsageError(f"there is no submission in --folder {options.folder}; the files must be SUITE/NAME.npz")
     checked_folder(options.out)
     for name, text in ((PAGE, leaderboard_page(found)), (TABLE, leaderboard_json(found))):
         write_atomically(options.out / name, text)
@@ -140,14 +140,14 @@ def own_submission(suite_name: str, policy: str) -> Submission:
     """Return the submission of one of the project's policies, from its recorded rows.
 
     Raises:
-        ValueError: its rows do not count, or it has none.
+        ValueError: the policy has no rows, or its rows are not valid any more.
     """
     suite, digest = suites.load_suite(suite_name), fingerprint(policy)
     found = recorded.load_recorded(suite)
     rows = [replace(run, fingerprint=digest) for run in found.runs if run.policy == policy]
     if not rows:
         reason = found.refused.get(policy, "there are none")
-        raise ValueError(f"the recorded rows of {policy} in {suite_name} do not count: {reason}")
+        raise ValueError(f"there are no valid recorded rows of {policy} in {suite_name}: {reason}")
     record = rows[0].recorded
     assert record is not None
     command = f"python -m research suites record {suite_name} --policy {policy}"
@@ -162,5 +162,5 @@ def _about(policy: str) -> About:
 
 
 def own_files(folder: Path) -> list[tuple[str, Path]]:
-    """Return policy and file of each of the project's own submissions in the folder of a leaderboard."""
+    """Return policy and file of each of the project's own entries in the folder of a leaderboard."""
     return [(policy, folder / SUITE / f"{policy}.npz") for policy in OWN]

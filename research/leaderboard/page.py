@@ -1,4 +1,4 @@
-"""The leaderboard as a page, and as a table of JSON."""
+"""The leaderboard as a page and as JSON."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ All submitted policies, by suite and speed range, the best first. To add yours s
 
 [Evaluation](metrics.md) has the definitions, and [leaderboard.json](leaderboard.json) the table as data.
 """
-_NONE = "-"  # where nothing is said
-NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
-BREAK = "<br>"  # between the lines of a cell
+_NONE = "-"  # text of a missing value
+NBSP = "\N{NO-BREAK SPACE}"  # space within a line of a cell
+BREAK = "<br>"  # separator of the lines of a cell
 _HEADINGS = [
     "rank", "entry<br>by", "score<br>95 %", "error [m]", "failures", "effort<br>command rate", "time [ms]", "training",
     "verified",
 ]  # fmt: skip
-"""The headings of the tables."""
+"""Headings of the tables."""
 
 
 def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
-    """Return the page, Markdown."""
+    """Return the page as Markdown."""
     parts = [_TEXT]
     for board in boards:
         suite = board.suite
@@ -59,7 +59,7 @@ def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
 
 
 def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
-    """Return the table of one speed range; its cells have two lines, so that it is narrow enough for a page."""
+    """Return the table of one speed range; its cells have two lines, so that it fits on a page."""
     by_name, rows = {s.name: s for s in board.submissions}, []
     for rank, entry in enumerate(entries, start=1):
         s, text = by_name[entry.policy], {column.key: column.text(entry) for column in COLUMNS}
@@ -79,7 +79,7 @@ def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
 
 
 def _described(s: Submission) -> str:
-    """Return a line of the list of entries."""
+    """Return the line of an entry in the list of descriptions."""
     more = f" [Link]({s.about.link})." if s.about.link else ""
     words = plain(s.about.description).rstrip(".") or "no description"
     return (
@@ -89,13 +89,13 @@ def _described(s: Submission) -> str:
 
 
 def verification(board: Leaderboard, name: str) -> list[str]:
-    """Return the result of the reproduction of an entry, in lines."""
+    """Return the lines of the cell about the reproduction of an entry."""
     found = board.verified.get(name)
     return [f"{found['episodes']} of {found['of']}", found["date"]] if found else ["no"]
 
 
 def costs(s: Submission) -> list[str]:
-    """Return the stated cost of a training, in lines."""
+    """Return the lines of the cell about the stated cost of a training."""
     steps, seconds = s.about.training_steps, s.about.training_seconds
     lines = [] if steps is None else [f"{_short(steps)} steps"]
     return [*lines, *([] if seconds is None else [_time(seconds)])] or [_NONE]
@@ -116,12 +116,12 @@ def _short(count: float) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a submitter's words so that Markdown and HTML show them as they are: no markup, no table, no link."""
+    """Return a submitter's text with all punctuation escaped, so that it contains no Markdown and no HTML."""
     return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
 
 
 def leaderboard_json(boards: Sequence[Leaderboard]) -> str:
-    """Return the leaderboard as strict JSON, null for what is not a number."""
+    """Return the leaderboard as strict JSON, with null in place of NaN."""
     suites = {}
     for board in boards:
         by_name = {s.name: s for s in board.submissions}

@@ -1,9 +1,9 @@
 """Check in many episodes that the full-information optimum never fails: `python -m research bound`.
 
-A failure of `clairvoyant`, whose score is 1, would raise all other scores. It runs held-out episodes of all cases, and
-the counts are kept in `research/data/bound.json`. A later run continues where an earlier one has stopped, and starts
-again if the policy has changed. Where its steady-state error is not small, expert and oracle run too: an episode in
-which one of them is better shows a fault of the solver.
+A failure of `clairvoyant`, whose score is 1, would raise all other scores. The command runs it through held-out
+episodes of all cases and keeps the counts in `research/data/bound.json`. A later run continues after the recorded
+episodes, or starts again if the policy has changed. In episodes in which its steady-state error is not small, the
+expert and the oracle run too: if one of them is better, the solver has failed.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,11 @@ from research import DATA
 from research.seeds import OPTIMUM
 
 PROGRAM = "python -m research bound"
-_FILE = DATA / "bound.json"  # what was counted
+_FILE = DATA / "bound.json"  # record of the counts
 OPTIMUM_EPISODES = 10_000  # of all cases together
-_AT_ONCE = 125  # episodes of a case that are solved together
+_BATCH = 125  # episodes of a case that are solved together
 SCENARIOS = tuple(PRESETS[f"{speed_range}-{case}"] for speed_range in SPEED_RANGES for case in CASES)
-"""The cases, of both speed ranges."""
+"""The cases of both speed ranges."""
 
 
 @dataclass(frozen=True)
@@ -46,25 +47,25 @@ class Options:
     """
 
     episodes: int = OPTIMUM_EPISODES
-    """Of all cases together; those that were run before count."""
+    """Number of episodes of all cases together, those of earlier runs included."""
     out: Path = _FILE
-    """File for the counts, to which episodes are added."""
+    """File for the counts. New counts are added to those of earlier runs."""
 
 
 @dataclass(frozen=True)
 class OptimumCount:
-    """Counts of some episodes of a case, those of the first seeds of `OPTIMUM`."""
+    """Results of the optimum in episodes of a case, those of the first seeds of `OPTIMUM`."""
 
     episodes: int = 0
-    failed: int = 0  # see `score.has_failed`
-    steady_rmses_m: float = 0.0  # the sum of the steady-state errors
+    failed: int = 0  # number of failures, see `score.has_failed`
+    steady_rmses_m: float = 0.0  # sum of the steady-state errors
     largest_steady_rmse_m: float = 0.0
-    largest_error_m: float = 0.0  # at any instant after the first third: a vehicle that spins is metres away
+    largest_error_m: float = 0.0  # at any time after the first third of an episode; a vehicle that spins is metres away
     astray: tuple[Mapping[str, Any], ...] = field(default=())
-    """Episodes whose error is not below `GOOD`: seed, error, and those of oracle and expert [m]."""
+    """Episodes whose error is not below `GOOD`: seed, error, and errors of oracle and expert [m]."""
 
     def with_more(self, more: OptimumCount) -> OptimumCount:
-        """Return the count of these episodes and of others."""
+        """Return the results of these and of more episodes together."""
         return OptimumCount(
             self.episodes + more.episodes,
             self.failed + more.failed,
@@ -75,16 +76,16 @@ class OptimumCount:
         )
 
 
-def counted(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
-    """Return what the bound does in episodes of a scenario, `first` and the following ones of `OPTIMUM`."""
+def run_episodes(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
+    """Run the optimum through episodes of a scenario, from number `first` of `OPTIMUM` on, and return the results."""
     seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
     found = rollout(make_policy(OPTIMUM_POLICY, scenario.vehicle), scenario, cell.episodes)
     steady_rmse = found.measures.steady_rmse
     far = np.flatnonzero(~(steady_rmse < GOOD)).tolist()
-    rivals = {policy: _steady_rmses(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
+    others = {policy: _steady_rmses(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
     astray = tuple(
-        {"seed": seed + i, f"{OPTIMUM_POLICY}_m": float(steady_rmse[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
+        {"seed": seed + i, f"{OPTIMUM_POLICY}_m": float(steady_rmse[i]), **{f"{p}_m": others[p][j] for p in others}}
         for j, i in enumerate(far)
     )
     errors = found.errors[scenario.steps // 3 :]
@@ -94,17 +95,16 @@ def counted(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
     )
 
 
-def _steady_rmses(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
-    """Return a policy's steady-state errors [m] in a few of a cell's episodes."""
-    own = [cell.episodes[i] for i in few]
-    steady_rmses: list[float] = rollout(
-        make_policy(policy, cell.scenario.vehicle), cell.scenario, own
-    ).measures.steady_rmse.tolist()
+def _steady_rmses(policy: str, cell: Cell, indices: Sequence[int]) -> list[float]:
+    """Return a policy's steady-state errors [m] in the episodes of a cell with these indices."""
+    episodes = [cell.episodes[i] for i in indices]
+    found = rollout(make_policy(policy, cell.scenario.vehicle), cell.scenario, episodes)
+    steady_rmses: list[float] = found.measures.steady_rmse.tolist()
     return steady_rmses
 
 
 def optimum_counts(file: Path = _FILE) -> dict[str, OptimumCount]:
-    """Return what was counted, by case; nothing where the bound has changed since, or nothing was counted.
+    """Return the recorded results by case; {} without a record or if the policy has changed since.
 
     Raises:
         UsageError: the file is damaged.
@@ -118,15 +118,12 @@ def optimum_counts(file: Path = _FILE) -> dict[str, OptimumCount]:
 
 
 def all_cases(counts: Mapping[str, OptimumCount]) -> OptimumCount:
-    """Return the count of all cases."""
-    every = OptimumCount()
-    for count in counts.values():
-        every = every.with_more(count)
-    return every
+    """Return the results of all cases together."""
+    return reduce(OptimumCount.with_more, counts.values(), OptimumCount())
 
 
-def in_words(counts: Mapping[str, OptimumCount]) -> str:
-    """Return what was counted, in words."""
+def summary_text(counts: Mapping[str, OptimumCount]) -> str:
+    """Return a sentence with the results of all cases together."""
     every = all_cases(counts)
     at_most = 100 * failure_bound(every.failed, every.episodes)
     return (
@@ -138,8 +135,8 @@ def in_words(counts: Mapping[str, OptimumCount]) -> str:
     )
 
 
-def nearer(counts: Mapping[str, OptimumCount]) -> list[str]:
-    """Return the episodes in which oracle or expert is nearer than the bound by more than a millimetre, in words."""
+def better_policies(counts: Mapping[str, OptimumCount]) -> list[str]:
+    """Return a line for each episode in which oracle or expert is better than the optimum by more than a millimetre."""
     found = []
     for name, count in counts.items():
         for own in count.astray:
@@ -152,10 +149,10 @@ def nearer(counts: Mapping[str, OptimumCount]) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Count as the arguments say and return the exit status.
+    """Run the optimum, record the counts, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     share = -(-options.episodes // len(SCENARIOS))  # of each case, rounded up
@@ -165,17 +162,17 @@ def main(arguments: Sequence[str]) -> int:
     counts = {scenario.name: OptimumCount() for scenario in SCENARIOS} | optimum_counts(options.out)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for scenario in SCENARIOS:
-        for first in range(counts[scenario.name].episodes, share, _AT_ONCE):
-            more = counted(scenario, first, min(_AT_ONCE, share - first))
+        for first in range(counts[scenario.name].episodes, share, _BATCH):
+            more = run_episodes(scenario, first, min(_BATCH, share - first))
             counts[scenario.name] = counts[scenario.name].with_more(more)
             record = {
                 "fingerprint": fingerprint(OPTIMUM_POLICY),
                 "cases": {name: asdict(c) for name, c in counts.items()},
             }
             write_atomically(options.out, json_text(record))
-        print(f"{scenario.name}: {in_words({scenario.name: counts[scenario.name]})}", flush=True)
-    print(in_words(counts))
-    worse = nearer(counts)
-    for line in worse:
-        print(f"{called(PROGRAM)}: another policy is nearer: {line}", file=sys.stderr)
-    return FAILED if worse or all_cases(counts).failed else DONE
+        print(f"{scenario.name}: {summary_text({scenario.name: counts[scenario.name]})}", flush=True)
+    print(summary_text(counts))
+    better = better_policies(counts)
+    for line in better:
+        print(f"{called(PROGRAM)}: another policy is better: {line}", file=sys.stderr)
+    return FAILED if better or all_cases(counts).failed else DONE

@@ -1,1 +1,1 @@
-"""The paper's numbers and figures, recomputed."""
+"""Numbers and figures of the paper, recomputed."""

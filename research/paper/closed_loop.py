@@ -1,4 +1,4 @@
-"""Section V in continuous time: the vehicle under the tracking law, exact measurements, no hold, no limits."""
+"""Section V in continuous time: the vehicle under the tracking law, with exact measurements, no hold and no limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from baselines.control.backstepping import Gains, tracking_forces
 
 @dataclass(frozen=True)
 class SteadyCircle:
-    """The reference on a circle at any time: the heading is linear in time, velocities and forces are constant."""
+    """The reference on a circle in closed form: heading linear in time, constant velocities and forces."""
 
     path: Circle
     psi0: float  # [rad] heading at t = 0
@@ -33,14 +33,14 @@ class SteadyCircle:
         return cls(path, first[2], tuple(first[3:6]), tuple(first[6:8]))
 
     def state(self, t: Array) -> State:
-        """Return x, y, psi, u, v, r at times of shape (T,), each of that shape or constant."""
+        """Return x, y, psi, u, v, r at times t of shape (T,); each has that shape or is a constant."""
         x, y = self.path.derivatives(t)[0]
         return x, y, self.psi0 + self.velocities[2] * t, *self.velocities
 
 
 @dataclass(frozen=True)
 class Response:
-    """The closed loop from N starts at T times."""
+    """Trajectories of the closed loop from N starts at T times."""
 
     t: Array  # [s], shape (T,)
     state: Array  # x, y, psi, u, v, r, shape (6, N, T)
@@ -55,7 +55,7 @@ class Response:
 
 
 def feedback(state: State, reference: SteadyCircle, t: Any, vehicle: Vehicle, gains: Gains) -> tuple[State, Force]:
-    """Return the tracking errors (section IV.A) and the force of the law on exact measurements, for arrays."""
+    """Return the tracking errors (section IV.A) and the force of the law with exact measurements, for arrays."""
     target = reference.state(t)
     errors = tracking_errors(state, target, ARRAYS)
     x_e, y_e, psi_e, u_e, v_e, r_e = errors
@@ -74,17 +74,17 @@ def closed_loop_response(
     rtol: float = 1e-12,
     atol: float = 1e-14,
 ) -> Response:
-    """Return the closed loop from rest.
+    """Return the response of the closed loop from rest.
 
     Args:
         starts: initial errors x_e, y_e [m], psi_e [rad], shape (3, N).
         path: the circle to follow.
         vehicle: the vehicle, known exactly.
-        gains: of the law.
-        times: when to sample [s], increasing from 0, shape (T,).
-        method: integrator of `scipy.integrate.solve_ivp`, which steps all starts together.
-        rtol: its relative tolerance.
-        atol: its absolute tolerance.
+        gains: gains of the law.
+        times: sampling times [s], increasing from 0, shape (T,).
+        method: integrator of `scipy.integrate.solve_ivp`, which integrates all starts together.
+        rtol: relative tolerance of the integrator.
+        atol: absolute tolerance of the integrator.
     """
     reference = SteadyCircle.of(path, vehicle)
     n = starts.shape[1]
@@ -104,6 +104,6 @@ def closed_loop_response(
 
 
 def last_outside(t: Array, error: Array, bound: float) -> float:
-    """Return the last of the times [s], shape (T,), at which |error| is outside the bound; 0 if it never is."""
+    """Return the last time [s] at which |error| exceeds the bound; 0 if it never does. Shapes (T,)."""
     outside = np.flatnonzero(np.abs(error) > bound)
     return float(t[outside[-1]]) if len(outside) else 0.0

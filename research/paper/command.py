@@ -1,4 +1,4 @@
-"""Recompute the paper's numbers and figures: `python -m research paper --help`."""
+"""Recompute numbers and figures of the paper: `python -m research paper --help`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROGRAM = "python -m research paper"
 
 @dataclass(frozen=True)
 class Options:
-    """Print the paper's numbers beside those recomputed; write paper.json and the figures 3 to 6.
+    """Print the printed and the recomputed numbers of the paper; write paper.json and the figures 3 to 6.
 
     Exit status: 0 done, 1 the files cannot be written, 2 wrong usage.
     """
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     """Recompute the paper and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     folder = checked_folder(parse(Options, arguments, PROGRAM).out)
     found, out = reproduce_paper(lambda part: print(part, file=sys.stderr)), console()
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def tables(reproduction: Reproduction) -> list[Table]:
-    """Return the tables about the paper: its numbers, the responses from its starts, its misprints."""
+    """Return the tables: the numbers of the paper, the responses from its starts, its errors."""
     starts = Table(
         title="Section V from all eight starts: |x_e| = 0.5 m, |y_e| = 1 m, |psi_e| = 20 deg, at rest", **LOOK
     )

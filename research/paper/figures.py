@@ -1,4 +1,4 @@
-"""The paper's figures 3-6, recomputed, with its own panels; and a figure of its noise study."""
+"""Figures 3 to 6 of the paper, recomputed with the panels of the paper, and a figure of its noise study."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, nois
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
 EARLY = 40.0
-"""End of the panels that show the transient [s]."""
+"""End of the panels with the transient [s]."""
 NOISE_SPAN = 60.0
-"""Length of the noisy commands that are drawn [s]."""
+"""Length of the panels of the noise study [s]."""
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
@@ -46,7 +46,7 @@ def _letter(axes: Sequence[Sequence[Axes]], titles: Sequence[str]) -> None:
 
 
 def trajectory(response: Response) -> Figure:
-    """Return figure 3: the circle and the way of the centre of mass, whole and near the start."""
+    """Return figure 3: the circle and the trajectory of the centre of mass, whole and near the start."""
     figure, [[wide, near]] = panels(1, 2, (9.0, 5.1))
     circle = PAPER_CIRCLE.derivatives(np.linspace(0.0, 200 * np.pi, 721))[0]
     for ax in (wide, near):
@@ -72,7 +72,7 @@ def trajectory(response: Response) -> Figure:
 
 
 def _forces(response: Response) -> Figure:
-    """Return figure 4: control force and torque near time zero and converging to the plan's."""
+    """Return figure 4: control force and torque near time zero, and their convergence to those of the plan."""
     figure, axes = panels(2, 2, (9.0, 5.4))
     planned = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
     names = (("F_u", "N", "force"), ("F_r", "N m", "torque"))
@@ -94,9 +94,9 @@ def _forces(response: Response) -> Figure:
 
 
 def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str, float]], title: str) -> Figure:
-    """Return six panels: three errors from row `first` on, over the transient and in magnitude to the end.
+    """Return six panels: three errors from row `first` on, in the transient and as magnitudes to the end.
 
-    `names` gives each error's name, unit, and the factor into that unit.
+    `names` has the name, the unit and the factor to that unit of each error.
     """
     figure, axes = panels(3, 2, (9.0, 7.0))
     for k, ((early, late), (name, unit, factor)) in enumerate(zip(axes, names, strict=True)):
@@ -116,17 +116,17 @@ def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str
 
 
 def velocity_errors(response: Response) -> Figure:
-    """Return figure 5: the velocity errors."""
+    """Return figure 5: errors of the velocities."""
     return _error_figure(response, 3, (("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0), ("r_e", "rad/s", 1.0)), "Fig. 5")
 
 
 def _tracking_errors(response: Response) -> Figure:
-    """Return figure 6: the errors of position and orientation."""
+    """Return figure 6: errors of position and heading."""
     return _error_figure(response, 0, (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi)), "Fig. 6")
 
 
 def noise(study: Sequence[NoiseRun]) -> Figure:
-    """Return the noise study: commands, position error, and what a low-pass trades between them."""
+    """Return the figure of the noise study: commands, position error, and the trade-off of the low-pass filters."""
     figure, [[surge, yaw], [distance, trade]] = panels(2, 2, (9.0, 5.8))
     dt = noise_scenario(None).control_dt
     count = round(NOISE_SPAN / dt)
@@ -151,7 +151,7 @@ def noise(study: Sequence[NoiseRun]) -> Figure:
 
 
 def _trade(ax: Axes, study: Sequence[NoiseRun]) -> None:
-    """Draw the error over the activity of the force, a point for each low-pass."""
+    """Draw the position error against the standard deviation of the force, with a point for each low-pass filter."""
     x, y = [run.force_std[0] for run in study], [100 * run.position_rms for run in study]
     ax.plot(x, y, "o-", color=COLOURS[0])
     for run, x_i, y_i in zip(study, x, y, strict=True):

@@ -1,4 +1,4 @@
-"""The noise study of section V: white noise on all measurements, with and without a low-pass, in the environment."""
+"""The noise study of section V: white noise on all measurements, with and without a low-pass filter."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from baselines.evaluation.runner import drawn
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate
 VELOCITY_NOISE = 0.01  # [m/s]
-CUT_OFFS: tuple[float | None, ...] = (None, 1.0, 0.5, 0.3)  # [Hz] of the low-pass; None: no filter
-_SEEDS = tuple(range(6))  # of the sensor noise
-TRANSIENT = 400  # control steps [0.1 s] left out at the beginning: eight time constants of the slowest eigenvalue
+CUT_OFFS: tuple[float | None, ...] = (None, 1.0, 0.5, 0.3)  # [Hz] of the low-pass filter; None: no filter
+_SEEDS = tuple(range(6))  # seeds of the sensor noise
+TRANSIENT = 400  # control steps [0.1 s] left out at the start: eight time constants of the slowest eigenvalue
 
 
 @dataclass(frozen=True)
 class NoiseRun:
-    """The paper's circle at 10 Hz under white noise: S seeds, K control steps behind the transient."""
+    """Runs on the paper's circle at 10 Hz with white noise: S seeds, K control steps after the transient."""
 
     cut_off: float | None  # [Hz]
     force: Array  # F_u [N], F_r [N m], shape (S, K, 2)
-    error: Array  # [m] true distance to the reference, shape (S, K)
+    error: Array  # [m] true position error, shape (S, K)
 
     @property
     def force_std(self) -> Array:
@@ -42,13 +42,13 @@ class NoiseRun:
 
 
 def noise_scenario(cut_off: float | None) -> Scenario:
-    """Return the paper's circle, started on the reference, with noise of 10 cm, 1 deg, 1 cm/s and 1 deg/s."""
+    """Return the scenario: the paper's circle from a start on it, with noise of 10 cm, 1 deg, 1 cm/s and 1 deg/s."""
     sensors = Sensors(POSITION_NOISE, HEADING_NOISE, VELOCITY_NOISE, HEADING_NOISE, low_pass=cut_off)
     return Scenario(name="paper-circle-noise", sensors=sensors, steps=2000)
 
 
 def noise_study() -> list[NoiseRun]:
-    """Return a run of the printed law for each low-pass; all meet the same noise."""
+    """Return the runs of the printed law with each low-pass filter, all with the same noise."""
     runs = []
     for cut_off in CUT_OFFS:
         scenario = noise_scenario(cut_off)

@@ -1,4 +1,4 @@
-"""The paper's numbers beside their recomputation.
+"""Numbers of the paper, printed and recomputed.
 
 F. Repoulias and E. Papadopoulos, "Trajectory planning and tracking control of underactuated AUVs", ICRA 2005, sections
 III and V.
@@ -31,35 +31,35 @@ from baselines.control.stability import (
 from research.paper.closed_loop import Response, closed_loop_response, last_outside
 from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
 
-PAPER_GAINS = GAINS["paper"]  # those printed in the paper
+PAPER_GAINS = GAINS["paper"]  # gains that the paper prints
 SIGNS = tuple(itertools.product((1, -1), repeat=3))
 """Signs of x_e, y_e, psi_e: the paper prints moduli only."""
 _STARTS = np.array(SIGNS).T * np.array([[0.5], [1.0], [math.radians(20.0)]])
-"""Section V's initial errors x_e, y_e [m], psi_e [rad], shape (3, 8)."""
+"""Initial errors of section V, x_e, y_e [m], psi_e [rad], shape (3, 8)."""
 CHOSEN = SIGNS.index((1, -1, 1))
-"""The start that the figures show: it needs the least surge force of the eight, and the paper speaks of low effort."""
+"""Start in the figures: it needs the least surge force of the eight, and the paper mentions low effort."""
 TIMES = np.linspace(0.0, 100.0, 10001)
-"""Sampling times of the closed loop [s], as far as the paper's figures go."""
+"""Sampling times of the closed loop [s], with the range of the paper's figures."""
 FLOOR_TIME = 80.0
-"""From here on [s] the errors that remain with a loose integrator count as its floor."""
+"""Time [s] after which the remaining error is taken as the error floor of the integrator."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity: what the paper prints and what comes out."""
+    """One quantity: printed and recomputed value."""
 
     quantity: str
     place: str  # in the paper
-    paper: float | None  # None: the paper gives no number
+    paper: float | None  # None: the paper prints no number
     measured: float
     unit: str
-    agrees: bool | None  # None: there is nothing to agree with
+    agrees: bool | None  # None: there is nothing to compare
     note: str = ""
 
 
 @dataclass(frozen=True)
 class StartRow:
-    """Section V from one combination of signs."""
+    """Response of section V from the start with one combination of signs."""
 
     signs: str  # of x_e, y_e, psi_e
     settling_5cm_s: float
@@ -71,13 +71,13 @@ class StartRow:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything about the paper that is recomputed."""
+    """All recomputed numbers and responses of the paper."""
 
     rows: list[Row]
     starts: list[StartRow]
     remarks: list[Row]
     eigenvalues: NDArray[np.complex128]  # [1/s] on the paper's circle
-    response: Response  # from the eight starts
+    response: Response  # of the closed loop from the eight starts
     noise: list[NoiseRun]
 
     def to_dict(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class Reproduction:
 
 
 def reproduce_paper(on_part: Callable[[str], None] = lambda _: None) -> Reproduction:
-    """Return the reproduction; `on_part` is told what is being computed."""
+    """Return the reproduction; `on_part` is called with the name of each part before it is computed."""
     on_part("section III: the plan")
     rows = planner_rows() + printed_equation_rows()
     on_part("section V: the closed loop from eight starts")
@@ -114,7 +114,7 @@ def _printed(
 
 
 def planner_rows() -> list[Row]:
-    """Return section III's example: the planner on the paper's circle."""
+    """Return the rows of the example of section III: the planner on the paper's circle."""
     times = np.array([0.0, 1.0])
     along = path_rates(PAPER_CIRCLE.derivatives(times))
     u, v, r, F_u, F_r = plan(PAPER_CIRCLE, PAPER_VEHICLE, times).table[0, 3:].tolist()
@@ -133,7 +133,7 @@ def planner_rows() -> list[Row]:
 
 
 def settled_surge(omega: float) -> float:
-    """Return the u_R [m/s] on which (15) as printed settles from 1e-3 m/s, on a circle at the paper's speed."""
+    """Return the u_R [m/s] that (15) as printed converges to from 1e-3 m/s, on a circle at the paper's speed."""
     v_p = PAPER_CIRCLE.speed
 
     def rate(_: float, u: Array) -> list[float]:
@@ -143,7 +143,7 @@ def settled_surge(omega: float) -> float:
 
 
 def printed_equation_rows() -> list[Row]:
-    """Return (15'): its coefficients, which fix four of the vehicle's parameters, and its solution."""
+    """Return the rows of (15'): its coefficients, which determine four parameters of the vehicle, and its solution."""
     v, v_p, omega = PAPER_VEHICLE, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate
     tenfold = "the bracket is printed divided by ten"
     return [
@@ -156,7 +156,7 @@ def printed_equation_rows() -> list[Row]:
 
 
 def start_rows(response: Response) -> list[StartRow]:
-    """Return settling times, peaks and the last error of each start."""
+    """Return settling times, peaks and final error for each start."""
     t, distance, psi_e, (F_u, F_r) = response.t, response.position_error, response.errors[2], response.force
     return [
         StartRow(
@@ -172,7 +172,7 @@ def start_rows(response: Response) -> list[StartRow]:
 
 
 def integrator_floor() -> tuple[float, float, float]:
-    """Return the largest position [m], heading [deg] and velocity error [m/s] that RK45 at SciPy's defaults leaves."""
+    """Return the remaining position [m], heading [deg] and velocity error [m/s] of RK45 with SciPy's tolerances."""
     loose = [
         closed_loop_response(
             start[:, None], PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES, "RK45", rtol=1e-3, atol=1e-6
@@ -186,14 +186,14 @@ def integrator_floor() -> tuple[float, float, float]:
 
 
 def closed_loop_rows(response: Response) -> list[Row]:
-    """Return section V's claims about convergence; `start_rows` has the starts one by one."""
+    """Return the rows of the claims of section V about convergence; `start_rows` has the single starts."""
     floor_m, floor_deg, floor_v = integrator_floor()
-    left = float(response.position_error[:, -1].max())
+    last = float(response.position_error[:, -1].max())
     loose = f"RK45 with rtol 1e-3 and atol 1e-6, largest after {FLOOR_TIME:.0f} s"
     in_rad = f"{math.radians(floor_deg):.2g} rad: the paper's 1e-5 deg is probably in rad"
     exact = "largest of eight starts; the paper's 1e-5 is its integrator's, not the law's"
     return [
-        Row("position error at 100 s", "Fig. 6", 1e-5, left, "m", left < 1e-5, exact),
+        Row("position error at 100 s", "Fig. 6", 1e-5, last, "m", last < 1e-5, exact),
         Row("floor of the position error", "Fig. 6", 1e-5, floor_m, "m", _same_order(floor_m), loose),
         Row("floor of the velocity error", "Fig. 5", 1e-5, floor_v, "m/s", _same_order(floor_v), loose),
         Row("floor of the heading error", "Fig. 6", 1e-5, floor_deg, "deg", _same_order(floor_deg), in_rad),
@@ -201,12 +201,12 @@ def closed_loop_rows(response: Response) -> list[Row]:
 
 
 def _same_order(value: float) -> bool:
-    """Return whether the value is of the order of the paper's 1e-5: within a factor of the square root of ten."""
+    """Return whether a value has the order of the paper's 1e-5, within a factor of the square root of ten."""
     return abs(math.log10(value / 1e-5)) < 0.5
 
 
 def stability_rows(eigenvalues: NDArray[np.complex128]) -> list[Row]:
-    """Return what linearisation says about the printed law with the paper's gains."""
+    """Return the rows of the linearised printed law with the paper's gains."""
     listed = ", ".join(f"{e.real:.3f}" + (f" +- {e.imag:.3f}i" if e.imag else "") for e in eigenvalues if e.imag >= 0)
     limit = first_instability(PAPER_VEHICLE, PAPER_GAINS, 0.3, 0.8)
     slowest = float(eigenvalues[0].real)
@@ -217,7 +217,7 @@ def stability_rows(eigenvalues: NDArray[np.complex128]) -> list[Row]:
 
 
 def noise_rows(study: Sequence[NoiseRun]) -> list[Row]:
-    """Return the noise study beside the paper's words: noisy commands, quiet vehicle, low-pass filters help."""
+    """Return the rows of the noise study: noisy commands, a quiet vehicle, and less noise with low-pass filters."""
     raw, *filtered = study
     noisy, quiet, better = "noisy commands", "quiet vehicle, far below the noise of 10 cm", "less noise with a low-pass"
 
@@ -238,7 +238,7 @@ def noise_rows(study: Sequence[NoiseRun]) -> list[Row]:
 
 
 def remarks() -> list[Row]:
-    """Return where the printed equations do not hold, each with a number that shows it."""
+    """Return the rows of the printed equations that do not hold, each with a number as evidence."""
     speeds = (0.05, 0.1, 0.3, 1.0, 2.0)
     turned = Circle(PAPER_CIRCLE.speed, -PAPER_CIRCLE.turn_rate)
     reference = plan(turned, PAPER_VEHICLE, np.array([0.0, 1.0]))
@@ -271,7 +271,7 @@ def remarks() -> list[Row]:
 
 
 def compatible_gains(tries: int = 100_000) -> tuple[int, int]:
-    """Return how many random positive gains meet both conditions after (48), and how many were tried."""
+    """Return the number of random positive gains that meet both conditions after (48), and the number of tries."""
     rng = np.random.default_rng(0)
     c_r, g, k_z, k_psi, k_2, k_3 = 10 ** rng.uniform(-4, 4, (6, tries))
     third = c_r - (c_r * g) ** 2 / k_psi > 0

@@ -1,1 +1,1 @@
-"""The results page of the frozen suites."""
+"""Pages of results on the frozen suites."""

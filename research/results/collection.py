@@ -1,4 +1,4 @@
-"""What is recorded of the frozen suites, put together: scores of every policy, pooled and case by case."""
+"""The recorded results of the frozen suites: scores and errors of every policy, pooled and by case."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, score, spe
 from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
-"""The suites of the results page."""
+"""Suites of the results pages."""
 TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
-"""Mean error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
-nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
+"""Difference of mean errors [m] by which another policy may be better than the oracle in a case, by suite. If a current
+is nearly as fast as the path, the plan of the oracle relative to the water turns sharply, and a few episodes settle
+late."""
 ROUNDING = 1e-5
-"""[m] by which another policy may be better than the bound in a case: the tolerance to which that is solved."""
+"""Difference of mean errors [m] by which another policy may be better than the full-information optimum in a case: the
+tolerance of the solver."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """What is recorded of a suite."""
+    """The recorded results of a suite."""
 
     suite: Suite
     runs: tuple[Run, ...]
     pooled: list[Entry]
-    scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
-    steady_rmses: dict[str, dict[str, float]]  # [m] mean error of each policy in each case alone, by policy, by case
+    scores: dict[str, dict[str, Score]]  # by policy and case
+    steady_rmses: dict[str, dict[str, float]]  # [m] mean error by policy and case
 
     @classmethod
     def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
-        """Return the results of recorded runs, those of the suite's anchors among them."""
+        """Return the results of recorded runs, which must include those of the suite's anchors."""
         cases, (zero, one) = measures_of(runs), suite.anchors
         scores: dict[str, dict[str, Score]] = {}
         steady_rmses: dict[str, dict[str, float]] = {}
@@ -47,7 +49,7 @@ class Results:
 
     @cached_property
     def cases(self) -> dict[str, dict[str, Measures]]:
-        """What was measured in metres of the paper's vehicle, by scenario, then by policy."""
+        """Measures by scenario and policy, in metres of the paper's vehicle."""
         return measures_of(self.runs)
 
     @property
@@ -56,7 +58,7 @@ class Results:
         return list(self.scores)
 
     def measures(self, policy: str, speed_range: str) -> list[Measures]:
-        """Return what was measured of a policy in the cases of a speed range."""
+        """Return the measures of a policy in each case of a speed range."""
         own = [
             run_ for run_ in self.runs if run_.policy == policy and speed_range_of(run_.scenario.name) == speed_range
         ]
@@ -64,9 +66,9 @@ class Results:
 
 
 def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
-    """Return case, policy and by how much [m] its mean error is smaller than that of `best`, wherever it is.
+    """Return the policies with a smaller mean error than `best` in a case: case, policy, difference [m].
 
-    The errors are those of the same episodes. That `OPTIMUM_POLICY` is better than another is no fault, and left out.
+    Errors are compared in the same episodes. `OPTIMUM_POLICY` is left out.
     """
     found = []
     for case, measures in results.cases.items():
@@ -78,7 +80,7 @@ def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
 
 
 def collected(name: str) -> tuple[Results | None, dict[str, str]]:
-    """Return what is recorded of a suite, None without its anchors; and why rows of policies do not count."""
+    """Return the recorded results of a suite, None without its anchors, and the reasons why rows are not valid."""
     suite = suites.load_suite(name)
     found = recorded.load_recorded(suite)
     complete = set(suite.anchors) <= {run_.policy for run_ in found.runs}
@@ -87,5 +89,5 @@ def collected(name: str) -> tuple[Results | None, dict[str, str]]:
 
 @cache
 def results_of(name: str) -> Results | None:
-    """Return what is recorded of a suite; None without its anchors."""
+    """Return the recorded results of a suite; None without its anchors."""
     return collected(name)[0]

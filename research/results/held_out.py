@@ -1,8 +1,8 @@
-"""Run policies on held-out episodes, which nothing was trained or chosen on: `python -m research held-out --help`.
+"""Run policies on held-out episodes: `python -m research held-out --help`.
 
-`python -m research held-out` draws them from seeds of their own, runs the strongest policies through them and
-keeps what they did in `research/data/fresh/`. `make pages` reads from it how far leads on the frozen
-episodes hold on others.
+The episodes are drawn from the cases of the frozen suites with separate seeds, on which no policy was trained, tuned or
+chosen. The rows are kept in `research/data/held_out/`. `make pages` compares the leads with those on the frozen
+episodes.
 """
 
 from __future__ import annotations
@@ -30,47 +30,52 @@ from research.seeds import HELD_OUT
 
 PROGRAM = "python -m research held-out"
 HELD_OUT_FOLDER = DATA / "held_out"
-HELD_OUT_SEED = HELD_OUT.first  # of the first episode of each case
+HELD_OUT_SEED = HELD_OUT.first  # seed of the first episode of each case
 HELD_OUT_EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
-"""Episodes drawn in each case, by suite."""
-FAMILIES = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
-"""Families of agents that are compared, each with one for every speed range."""
+"""Number of episodes of each case, by suite."""
+_FAMILIES = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
+"""Families of agents, each with one agent for every speed range."""
 _POLICIES = (
     EXPERT,
     *FORESIGHTED,
     "ekf",
-    *(f"{family}-{speed_range}" for family in FAMILIES for speed_range in SPEED_RANGES),
+    *(f"{family}-{speed_range}" for family in _FAMILIES for speed_range in SPEED_RANGES),
     "helm",
     "helm-any",
     ADVERSE_RIVAL,
     RIVAL,
 )
-"""What runs, the slowest ones last."""
+"""Policies by default, the slowest ones last."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Draw fresh episodes of the frozen suites' cases, run policies through them and keep what they did.
+    """Draw held-out episodes of the cases of frozen suites, run policies on them and keep the results.
 
     Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
-    """Policies by name."""
+    """Names of policies."""
     suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = tuple(HELD_OUT_EPISODES)
-    """Suites from whose cases episodes are drawn."""
+    """Suites with the cases of the episodes."""
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
-    """Cases by name, to try it out; without any, all of them."""
+    """Names of cases, for a short run. Default: all."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Episodes of each case. Default: 64 of benchmark-v2, 24 of unmodelled-v1."""
     jobs: int = 1
-    """Worker processes. With one the time per decision is that of an idle processor."""
+    """Worker processes. With one process the time of a decision is that of an idle processor."""
     out: Path = HELD_OUT_FOLDER
-    """Folder for what they did, SUITE/POLICY.npz."""
+    """Folder for the results, SUITE/POLICY.npz."""
 
 
 def held_out(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> Suite:
-    """Return a suite of held-out episodes, drawn from all of its cases or from those that are named.
+    """Return a suite of held-out episodes, drawn from some or all cases of a frozen suite.
+
+    Args:
+        name: name of the frozen suite.
+        episodes: number of episodes of each case. None: `HELD_OUT_EPISODES`.
+        cases: names of cases. Empty: all.
 
     Raises:
         ValueError: there is no such suite, or no such case in it.
@@ -88,10 +93,10 @@ def held_out(name: str, episodes: int | None = None, cases: Sequence[str] = ()) 
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run and keep as the arguments say and return the exit status.
+    """Run policies, keep their results, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", options.policy, list_policies())
@@ -99,15 +104,15 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     try:
-        drawn_anew = [held_out(name, options.episodes, options.case) for name in options.suite]
+        chosen = [held_out(name, options.episodes, options.case) for name in options.suite]
     except ValueError as error:
         raise UsageError(f"--case: {error}") from error
-    done = [_kept(suite, policy, options) for policy in options.policy for suite in drawn_anew]
+    done = [_record(suite, policy, options) for policy in options.policy for suite in chosen]
     return DONE if all(done) else FAILED
 
 
-def _kept(suite: Suite, policy: str, options: Options) -> bool:
-    """Run a policy through the cells of its speed ranges and keep the rows; return whether it ran."""
+def _record(suite: Suite, policy: str, options: Options) -> bool:
+    """Run a policy in the cells of its speed ranges, keep the rows, and return whether it succeeded."""
     speed_ranges = recorded.speed_ranges_of(policy)
     cells = suite.cells_in(speed_ranges)
     if not cells:

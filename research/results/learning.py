@@ -1,4 +1,4 @@
-"""What learning is worth, docs/results/learning.md: scores, leads and failures of agents of several training seeds."""
+"""The page docs/results/learning.md: scores, leads and failures of agents with several training seeds."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from research.results import held_out
 from research.results.collection import SUITES, Results, results_of
 from research.results.study_files import Study, load_studies
 
-SHORT = "short-"  # begins the names of short trainings that differ from `short-cruise` in one thing
+_SHORT = "short-"  # prefix of the short trainings that differ from `short-cruise` in one setting
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}
-"""The strongest controller that does not learn, by suite."""
+"""The strongest controller without learning, by suite."""
 _SEALED = "sealed-v1"
 _HEADS = ("agent", "seeds", "score", "lead", "95 %", "held-out lead", "95 %", "failures", "command rate")
 
@@ -41,10 +41,10 @@ def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
     studies = load_studies()
     found = {name: results for name in SUITES if (results := results_of(name)) is not None}
-    held_out = {results.suite.name: results for results in held_out_results()}
+    new = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {
-            name: (rival, table(_HEADS, lead_rows(found[name], held_out.get(name), studies, rival)))
+            name: (rival, table(_HEADS, lead_rows(found[name], new.get(name), studies, rival)))
             for name, rival in _RIVALS.items()
         },
         "opened": table(("agent", *(f"lead over {r}" for r in _RIVALS.values()), "failures"), _opened(found[_SEALED])),
@@ -54,7 +54,7 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def held_out_results() -> list[Results]:
-    """Return what is recorded of held-out episodes, of the suites whose anchors ran."""
+    """Return the recorded results on held-out episodes, of the suites whose anchors are recorded."""
     runs = {
         suite: recorded.load_recorded(suite, held_out.HELD_OUT_FOLDER).runs
         for suite in map(held_out.held_out, held_out.HELD_OUT_EPISODES)
@@ -63,26 +63,22 @@ def held_out_results() -> list[Results]:
 
 
 def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, Study], rival: str) -> list[list[str]]:
-    """Return a row of `_HEADS` for each agent of several seeds that ran in a suite.
+    """Return a row of `_HEADS` for each agent with several training seeds that ran in a suite.
 
     Args:
-        results: what is recorded of the suite.
-        held_out: what is recorded of its cases on held-out episodes.
-        studies: agents of several training seeds, by name.
-        rival: the policy over which a lead is measured.
+        results: recorded results of the suite.
+        held_out: recorded results on held-out episodes of its cases.
+        studies: agents with several training seeds, by name.
+        rival: the policy that a lead is relative to.
     """
     rows = []
     for name, study in studies.items():
         own, speed_range = study.suites.get(results.suite.source[0]), study.speed_range
-        if own is None or name.startswith(SHORT):
+        if own is None or name.startswith(_SHORT):
             continue
         agent = agent_of(name)
         steady_rmses = dict(zip(own.cells, own.steady_rmses, strict=True))
-        again = (
-            {case: steady_rmse[None] for case, steady_rmse in _steady_rmses(held_out, agent, speed_range).items()}
-            if held_out
-            else {}
-        )
+        new = _one_seed(_steady_rmses(held_out, agent, speed_range)) if held_out else {}
         zero, one = (_steady_rmses(results, policy, speed_range) for policy in results.suite.anchors)
         base = np.concatenate([m.smoothness for m in results.measures(results.suite.anchors.zero, speed_range)]).mean()
         rows.append([
@@ -90,7 +86,7 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
             str(len(own.steady_rmses[0])),
             score_text(seeds_score([zero[c] for c in steady_rmses], own.steady_rmses, [one[c] for c in steady_rmses])),
             *_texts(_lead(results, speed_range, steady_rmses, rival)),
-            *(_texts(_lead(held_out, speed_range, again, rival)) if held_out and again else ("-", "-")),
+            *(_texts(_lead(held_out, speed_range, new, rival)) if held_out and new else ("-", "-")),
             failures_text(own.count_failures(), sum(steady_rmse.size for steady_rmse in own.steady_rmses)),
             f"{float(own.smoothness.mean()) / base:.2g}",
         ])  # fmt: skip
@@ -98,13 +94,18 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
 
 
 def _steady_rmses(results: Results, policy: str, speed_range: str) -> dict[str, Array]:
-    """Return the steady-state errors [m] of a policy by case of a speed range, shape (M,) each; {} without any."""
+    """Return the steady-state errors [m] of a policy by case of a speed range, shape (M,) each; {} without results."""
     own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
     return {r.scenario.name: r.measures.steady_rmse for r in own if r.measures is not None}
 
 
+def _one_seed(steady_rmses: Mapping[str, Array]) -> dict[str, Array]:
+    """Return errors of shape (M,) by case as those of one training seed, shape (1, M)."""
+    return {case: own[None] for case, own in steady_rmses.items()}
+
+
 def _lead(results: Results, speed_range: str, seeds: Mapping[str, Array], rival: str) -> Score:
-    """Return by how much agents, errors of shape (S, M) by case, score above a rival in the episodes that both ran."""
+    """Return the lead of agents with S seeds, errors of shape (S, M) by case, over a rival in their common episodes."""
     zero, its, one = (
         _steady_rmses(results, policy, speed_range)
         for policy in (results.suite.anchors.zero, rival, results.suite.anchors.one)
@@ -118,20 +119,19 @@ def _texts(value: Score) -> tuple[str, str]:
 
 
 def _failed(results: Results, policy: str, speed_range: str) -> NDArray[np.bool_]:
-    """Return which episodes of a speed range a policy fails, case by case, shape (M,); (0,) if it did not run."""
+    """Return for each episode of a speed range whether a policy failed, shape (M,); shape (0,) without results."""
     own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
     parts = [has_failed(r.measures, error_cap(r.scenario.name)) for r in own if r.measures]
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 
 
 def _opened(results: Results) -> list[list[str]]:
-    """Return the leads of shipped agents in the suite that was sealed, which no study ran in, and their failures."""
+    """Return the rows of leads and failures of the shipped agents in the sealed suite."""
     rows = []
     for name in shipped_agents():
         for speed_range in SPEED_RANGES:
             if own := _steady_rmses(results, name, speed_range):
-                seeds = {case: steady_rmse[None] for case, steady_rmse in own.items()}
-                leads = (_lead(results, speed_range, seeds, rival) for rival in _RIVALS.values())
+                leads = (_lead(results, speed_range, _one_seed(own), rival) for rival in _RIVALS.values())
                 failed = _failed(results, name, speed_range)
                 texts = (f"{score_text(value)} ({interval_text(value)})" for value in leads)
                 rows.append([f"`{name}`, {speed_range}", *texts, f"{failed.sum()} of {len(failed)}"])
@@ -139,7 +139,7 @@ def _opened(results: Results) -> list[list[str]]:
 
 
 def versus_expert(results: Results, policy: str) -> tuple[int, int, int]:
-    """Return how many failures a policy adds to the expert's, how many it prevents, and of how many episodes."""
+    """Return the numbers of failures that a policy adds to those of the expert and prevents, and of episodes."""
     pairs = [
         (_failed(results, policy, speed_range), _failed(results, "backstepping", speed_range))
         for speed_range in SPEED_RANGES
@@ -160,16 +160,13 @@ def _against_expert(found: Mapping[str, Results]) -> list[list[str]]:
 
 
 def _short_rows(results: Results, studies: Mapping[str, Study]) -> list[list[str]]:
-    """Return what each part of the training contributes, the highest score first."""
+    """Return a row for each short training, the highest score first."""
     rows = []
-    for study in (study for name, study in studies.items() if name.startswith(SHORT)):
+    for study in (study for name, study in studies.items() if name.startswith(_SHORT)):
         own = study.suites[results.suite.source[0]]
         zero, one = (
             [_steady_rmses(results, p, study.speed_range)[case] for case in own.cells] for p in results.suite.anchors
         )
-        points, episodes = (
-            seeds_score(zero, own.steady_rmses, one),
-            sum(steady_rmse.size for steady_rmse in own.steady_rmses),
-        )
-        rows.append((points.mean, [study.about, *_texts(points), failures_text(own.count_failures(), episodes)]))
+        score, episodes = seeds_score(zero, own.steady_rmses, one), sum(errors.size for errors in own.steady_rmses)
+        rows.append((score.mean, [study.about, *_texts(score), failures_text(own.count_failures(), episodes)]))
     return [row for _, row in sorted(rows, key=lambda entry: -entry[0])]

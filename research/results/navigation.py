@@ -1,4 +1,4 @@
-"""The error of the navigation in a suite with rare position fixes, and the additional error of each policy."""
+"""The navigation error in a suite with rare position fixes, and the additional error of each policy."""
 
 from __future__ import annotations
 
@@ -24,30 +24,29 @@ them. The policy that scores 1 needs no navigation, so all other scores are near
 
 
 def navigation_alone(results: Results, speed_range: str) -> dict[str, Array]:
-    """Return the errors [m] of the navigation by case, one for each episode; {} without dead reckoning."""
+    """Return the navigation errors [m] of each episode, by case; {} without dead reckoning."""
     own = [cell for cell in results.suite.cells if speed_range_of(cell.scenario.name) == speed_range]
     return {cell.scenario.name: navigation_rmses(cell) for cell in own if cell.scenario.sensors.reckoning}
 
 
 def additional_errors(results: Results, navigation: Mapping[str, Array]) -> dict[str, str]:
-    """Return the error [mm] that each policy adds to that of the navigation, with its interval, as text."""
+    """Return the error [mm] that each policy adds to the navigation error, with its interval, as text."""
     found = {}
     for policy in [p for p in results.policies if p not in FORESIGHTED]:
-        steady_rmses = [(results.cases[case].get(policy), errors) for case, errors in navigation.items()]
-        if steady_rmses and all(own is not None for own, _ in steady_rmses):
-            more = np.concatenate(
-                [own.steady_rmse - errors[: len(own.steady_rmse)] for own, errors in steady_rmses if own is not None]
-            )
+        own = [results.cases[case][policy] for case in navigation if policy in results.cases[case]]
+        if navigation and len(own) == len(navigation):
+            pairs = zip((m.steady_rmse for m in own), navigation.values(), strict=True)
+            more = np.concatenate([steady_rmse - errors[: len(steady_rmse)] for steady_rmse, errors in pairs])
             low, high = bootstrap_interval(more)
             found[policy] = f"{_mm(more.mean())} ({_mm(low)} ... {_mm(high)})"
     return found
 
 
 def navigation_part(errors: Mapping[str, Mapping[str, Array]]) -> str:
-    """Return the part of a page about the error of the navigation, by speed range and case; "" without any.
+    """Return the section of a page about the navigation error, by speed range and case; "" without errors.
 
     Args:
-        errors: those of `navigation_alone` by speed range.
+        errors: results of `navigation_alone`, by speed range.
     """
     if not any(errors.values()):
         return ""

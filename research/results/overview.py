@@ -1,4 +1,4 @@
-"""The summary of the results, docs/results.md: who wins in the benchmark, by how much, and what it costs."""
+"""The summary of the results, docs/results.md: errors, failures, command rates and times of the main policies."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
-from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.lower_bounds.floor.command import recorded_floors
+from baselines.tools.figure_style import MARKERS, look, panels, styled, to_png
+from research.lower_bounds.estimation.command import recorded_bounds
 from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"
@@ -29,8 +29,8 @@ _POLICIES = {
     "apg-{}": "training",
     "helm": "training, preview",
 }
-"""The policies of the summary and what each needs; {} stands for the speed range."""
-_BELOW = ("ekf", "helm", "lqi")  # policies whose names are written below their points in the figure of command rates
+"""The policies of the summary and their needs; {} is replaced by the speed range."""
+_BELOW = ("ekf", "helm", "lqi")  # policies whose names are below their points in the figure of command rates
 FIGURES = "results-overview.png", "results-disturbances.png", "results-command-rate.png"
 
 
@@ -62,7 +62,7 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def figures(_: str = "") -> dict[str, bytes]:
-    """Return the figures as PNG by name: errors with intervals, errors by disturbance, error against command rate."""
+    """Return the figures as PNG, by name: errors with intervals, errors by disturbance, error against command rate."""
     with styled():
         drawings = (draw(_results()) for draw in (_errors, _heat_map, _command_rates))
         return dict(zip(FIGURES, map(to_png, drawings), strict=True))
@@ -100,8 +100,8 @@ def _speeds(speed_range: str) -> tuple[float, float]:
 
 
 def _estimation(results: Results, speed_range: str) -> float:
-    """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
-    bounds, best = recorded_floors(results.suite.source[1]), results.steady_rmses[OPTIMUM_POLICY]
+    """Return the mean over cases of the estimation lower bound [m]; with exact measurements it is the optimum."""
+    bounds, best = recorded_bounds(results.suite.source[1]), results.steady_rmses[OPTIMUM_POLICY]
     names = [f"{speed_range}-{case}" for case in CASES]
     return float(
         np.mean([max(bounds[name].steady_rmse_m, best[name]) if name in bounds else best[name] for name in names])
@@ -120,13 +120,14 @@ def _errors(results: Results) -> Any:
     for ax, speed_range in zip(axes, SPEED_RANGES, strict=True):
         for i, name in enumerate(names):
             steady_rmses = 1e3 * _steady_rmses(results, name.format(speed_range), speed_range)
-            ax.plot(bootstrap_interval(steady_rmses), [i, i], color=COLOURS[0], linewidth=2)
-            ax.plot(steady_rmses.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            own = look(name.format("cruise"), [n.format("cruise") for n in names])
+            ax.plot(bootstrap_interval(steady_rmses), [i, i], color=own.colour, linewidth=2)
+            ax.plot(steady_rmses.mean(), i, color=own.colour, marker=MARKERS[own.marker], markersize=5)
         for value, label, style in (
             (1e3 * _mean(results, OPTIMUM_POLICY, speed_range), "full-information optimum", "-"),
             (1e3 * _estimation(results, speed_range), "estimation lower bound", "--"),
         ):
-            ax.axvline(value, color=COLOURS[1], linestyle=style, linewidth=1.2, label=label)
+            ax.axvline(value, color="0.45", linestyle=style, linewidth=1.2, label=label)
         ax.set_xscale("log")
         ax.set_title(f"{speed_range}: mean steady-state error [mm]")
     axes[0].set_yticks(range(len(names)), [name.format("*") for name in names])
@@ -144,15 +145,8 @@ def _heat_map(results: Results) -> Any:
     figure, [[ax]] = panels(1, 1, (9.4, 3.6))
     image = ax.imshow(values, aspect="auto", cmap="viridis_r", norm=LogNorm(0.1, 1000))
     for (i, j), value in np.ndenumerate(values):
-        ax.text(
-            j,
-            i,
-            f"{value:.0f}" if value >= 10 else f"{value:.2g}",
-            ha="center",
-            va="center",
-            fontsize=7,
-            color="white" if value > 20 else "black",
-        )
+        text, colour = f"{value:.0f}" if value >= 10 else f"{value:.2g}", "white" if value > 20 else "black"
+        ax.text(j, i, text, ha="center", va="center", fontsize=7, color=colour)
     ax.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
     ax.set_yticks(range(len(_POLICIES)), [name.format("*") for name in _POLICIES])
     ax.grid(visible=False)
@@ -166,7 +160,8 @@ def _command_rates(results: Results) -> Any:
         for policy in _POLICIES:
             name = policy.format(speed_range)
             rate, error = _entry(results, name, speed_range).smoothness_ratio, 1e3 * _mean(results, name, speed_range)
-            ax.plot(rate, error, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            own = look(policy.format("cruise"), [p.format("cruise") for p in _POLICIES])
+            ax.plot(rate, error, color=own.colour, marker=MARKERS[own.marker], markersize=5)
             below = policy in _BELOW
             ax.annotate(
                 policy.format("*"), (rate, error), (0, -4 if below else 4), textcoords="offset points", fontsize=7,

@@ -1,4 +1,4 @@
-"""The record of a study: steady-state errors of every episode and seed, learning curves, and how it was made."""
+"""The files of a study: steady-state errors of every episode and seed, learning curves, and the command."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ _CURVE = ("timesteps", "seconds", "score")
 
 @dataclass(frozen=True)
 class InSuite:
-    """What S agents do in the M episodes of a suite's cells."""
+    """Results of S agents in the M episodes of each cell of a suite."""
 
-    hash: str  # of the suite
-    cells: tuple[str, ...]  # names of their scenarios
+    hash: str  # hash of the suite
+    cells: tuple[str, ...]  # names of the scenarios
     steady_rmses: tuple[Array, ...]  # steady-state RMSE [m of the paper's vehicle], shape (S, M) for each cell
-    failed: tuple[NDArray[np.bool_], ...]  # ended beyond `lost_distance`, shape (S, M) for each cell
+    failed: tuple[NDArray[np.bool_], ...]  # whether an episode ended beyond `lost_distance`, shape (S, M) for each cell
     effort: Array  # mean over all episodes, shape (S,); see `metrics`
     smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
-    decision_seconds: float  # of an agent for one vehicle and control step
+    decision_seconds: float  # mean time of a decision for one vehicle
 
     @classmethod
     def of(cls, suite: str, runs: Sequence[Sequence[Run]]) -> InSuite:
-        """Return what the runs of each agent in each cell tell.
+        """Return the results of the runs of each agent in each cell.
 
         Raises:
-            ValueError: one failed.
+            ValueError: a run failed.
         """
         if broken := [run for own in runs for run in own if run.measures is None]:
             raise ValueError(f"{broken[0].policy} failed in {broken[0].scenario.name}: {broken[0].error}")
@@ -60,7 +60,7 @@ class InSuite:
         )
 
     def capped(self) -> tuple[Array, ...]:
-        """Return the steady-state errors, those of failures cut at `score.ERROR_CAPS`."""
+        """Return the steady-state errors with those of failures set to `score.ERROR_CAPS`."""
         return tuple(capped(*cell) for cell in self._ended)
 
     def count_failures(self) -> int:
@@ -69,14 +69,14 @@ class InSuite:
 
     @property
     def _ended(self) -> list[tuple[Ended, float]]:
-        """The ends of the episodes of each cell, and their error cap [m]."""
+        """Steady-state errors and failures of each cell, and its error cap [m]."""
         parts = zip(self.steady_rmses, self.failed, map(error_cap, self.cells), strict=True)
         return [(Ended(steady_rmse, failed), cap) for steady_rmse, failed, cap in parts]
 
 
 @dataclass(frozen=True)
 class Study:
-    """Agents that differ in the training seed alone."""
+    """Agents that differ only in the training seed."""
 
     about: str
     speed_range: str
@@ -84,7 +84,7 @@ class Study:
     date: str  # ISO 8601
     versions: Mapping[str, str]
     suites: Mapping[str, InSuite]
-    curves: tuple[Array, ...]  # of each seed, columns `_CURVE`
+    curves: tuple[Array, ...]  # learning curve of each seed, columns `_CURVE`
 
     @classmethod
     def of(
@@ -95,10 +95,10 @@ class Study:
         runs: Mapping[str, Sequence[Sequence[Run]]],
         curves: Sequence[Sequence[Mapping[str, float]]],
     ) -> Study:
-        """Return the study of what agents did, suite by suite, and of their learning curves.
+        """Return the study of agents from their runs, by suite, and their learning curves.
 
         Raises:
-            ValueError: an agent failed somewhere.
+            ValueError: a run failed.
         """
         return cls(
             about,
@@ -117,13 +117,13 @@ def save_study(name: str, study: Study, folder: Path = STUDIES_FOLDER) -> None:
     record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "speed_range", "command", "date")}
     record |= {"versions": dict(study.versions), "suites": {}}
     for suite, found in study.suites.items():
-        record["suites"][suite], own = packed_study(suite, found)
+        record["suites"][suite], own = _pack(suite, found)
         arrays |= own
     write(folder / f"{name}.npz", Stored(record, arrays))
 
 
-def packed_study(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked_study`."""
+def _pack(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the results in a suite as JSON values and named arrays; `_unpack` is the inverse."""
     entry = asdict(found)
     arrays: dict[str, NDArray[Any]] = {}
     for key in ("steady_rmses", "failed"):
@@ -134,8 +134,8 @@ def packed_study(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, 
     return entry, arrays
 
 
-def unpacked_study(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
-    """Return what agents do in a suite from plain JSON and arrays; None if the suite is another one since."""
+def _unpack(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
+    """Return the results in a suite from JSON values and arrays; None if the suite has changed since."""
     entry = dict(packed_entry)
     if entry["hash"] != suites.load_suite(suite).hash:
         return None
@@ -149,7 +149,7 @@ def unpacked_study(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[
 
 
 def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:
-    """Return the studies that are kept, by name; what they say of a suite that has changed since is left out.
+    """Return the recorded studies, by name, without results in suites that have changed since.
 
     Raises:
         ValueError: a file is damaged.
@@ -160,7 +160,7 @@ def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:
 def _load(file: Path) -> Study:
     with reading(file) as stored:
         record, arrays = dict(stored.record), stored.arrays
-        all_of = {suite: unpacked_study(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
+        all_of = {suite: _unpack(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
         found = {suite: own for suite, own in all_of.items() if own is not None}
         curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
         return Study(**record, suites=found, curves=tuple(curves))

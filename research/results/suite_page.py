@@ -1,4 +1,4 @@
-"""A page for each frozen suite, docs/results/SUITE.md: all policies in each speed range."""
+"""The pages docs/results/SUITE.md of the frozen suites: all policies in each speed range."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _COLUMNS = {
     "smoothness_ratio": ("command rate", 1.0),
     "decision_ms": ("time [us]", 1e3),
 }
-"""The columns of the report that the page shows, with their headings and factors; results.csv has all of them."""
-WHAT = {
+"""Columns of the report on the page, with their headings and factors."""
+_DESCRIPTIONS = {
     "benchmark-v2": "The disturbances of the training, drawn from other seeds.",
     "ood-v1": "Disturbances outside the ranges of the training.",
     "unmodelled-v1": "Sensor and actuator faults that most policies do not model.",
@@ -46,7 +46,7 @@ def context(page: str) -> dict[str, Any]:
 
 
 def figures(page: str) -> dict[str, bytes]:
-    """Return the figure of a suite's page as PNG by name."""
+    """Return the figure of a suite's page as PNG, by name."""
     name = page.rpartition("/")[2]
     results = results_of(name)
     if results is None:
@@ -61,7 +61,7 @@ def _context(results: Results) -> dict[str, Any]:
     errors = {speed_range: navigation_alone(results, speed_range) for speed_range in speed_ranges}
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
     return {
-        "what": WHAT[suite.name],
+        "what": _DESCRIPTIONS[suite.name],
         "suite": suite,
         "episodes": sum(len(cell.episodes) for cell in suite.cells),
         "dates": " and ".join(dates),
@@ -74,7 +74,7 @@ def _context(results: Results) -> dict[str, Any]:
 
 
 def _speed_range(results: Results, speed_range: str, additional: Mapping[str, str]) -> tuple[str, int, str]:
-    """Return a speed range, how many episodes it has, and the table of all policies in it."""
+    """Return the name of a speed range, its number of episodes, and the table of all policies in it."""
     entries = ranked([entry for entry in results.pooled if entry.place == speed_range])
     columns = {"policy": [f"`{entry.policy}`" for entry in entries]}
     for column in COLUMNS:
@@ -90,7 +90,7 @@ def _speed_range(results: Results, speed_range: str, additional: Mapping[str, st
 
 
 def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str:
-    """Return a cell of the table: a score with its interval, a value in other units, or what the report has."""
+    """Return a cell of the table: a score with its interval, a value times a factor, or the text of the report."""
     if column.key == "score.mean" and interval:
         digits = 3 if abs(column.of(entry) or 0.0) < 2 else 1
         return f"{score_text(entry.score, digits)} ({interval_text(entry.score, digits)})"
@@ -101,7 +101,7 @@ def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str
 
 
 def _bound(results: Results) -> str:
-    """Return what the full-information optimum leaves to gain, and which policy is better than it."""
+    """Return the paragraph about the full-information optimum and the policies that are better than it."""
     if OPTIMUM_POLICY not in results.steady_rmses:
         return f"`{OPTIMUM_POLICY}` is not recorded yet."
     least, most = (1e3 * end(results.steady_rmses[OPTIMUM_POLICY].values()) for end in (min, max))
@@ -109,8 +109,8 @@ def _bound(results: Results) -> str:
     names = ", ".join(f"`{policy}` in `{case}`" for case, policy in beaten) or "none"
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
     counts = bound.optimum_counts()
-    tried = {cell.scenario.name for cell in results.suite.cells} <= set(counts)
-    held_out = f"\nOn held-out episodes of these cases: {bound.in_words(counts)}." if tried else ""
+    counted = {cell.scenario.name for cell in results.suite.cells} <= set(counts)
+    held_out = f"\nOn held-out episodes of these cases: {bound.summary_text(counts)}." if counted else ""
     return (
         f"`{OPTIMUM_POLICY}`, the full-information optimum, knows all disturbances in advance and optimises the\n"
         f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the case.\n"
@@ -121,7 +121,7 @@ def _bound(results: Results) -> str:
 
 
 def error_figure(results: Results) -> Figure:
-    """Return the mean errors of all policies with their intervals, smallest first, one colour for each speed range."""
+    """Return the figure of the mean errors of all policies with intervals, the smallest error first."""
     by_policy: dict[str, list[Entry]] = {}
     for entry in results.pooled:
         if entry.summary is not None:

@@ -1,4 +1,4 @@
-"""The page of the suite of published vehicles, docs/results/vehicles-v1.md: errors of every policy over the rival's."""
+"""The page docs/results/vehicles-v1.md: error of every policy on published vehicles, divided by that of a rival."""
 
 from __future__ import annotations
 
@@ -35,42 +35,42 @@ from research.pages import table
 from research.results.collection import ROUNDING, Results, results_of
 from research.results.study_files import InSuite, Study, load_studies
 
-VEHICLES_SUITE = "vehicles-v1"  # what the page is about
-_FIGURE = f"results-{VEHICLES_SUITE}.png"  # its figure
-_CALM = "calm"  # the case without a disturbance, whose errors are those of rounding
-LEAST, MOST = 0.1, 10.0  # ratios from which on the figure has its darkest colours
+VEHICLES_SUITE = "vehicles-v1"  # suite of the page
+_FIGURE = f"results-{VEHICLES_SUITE}.png"  # file of the figure
+_CALM = "calm"  # case without a disturbance, where errors are rounding errors
+LEAST, MOST = 0.1, 10.0  # ratios at the ends of the colour scale
 _HEADS = (f"error / {RIVAL}", f"without {_CALM}", "failures")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A policy and the rival in the same episodes of the scenarios that both ran in."""
+    """Measures of a policy and of the rival in their common episodes, by scenario, in metres of the paper's vehicle."""
 
-    own: Mapping[str, Measures]  # by scenario, in metres of the paper's vehicle
+    own: Mapping[str, Measures]
     rival: Mapping[str, Measures]
 
     def among(self, wanted: Callable[[str], bool]) -> Pair:
-        """Return both in the scenarios that are wanted."""
+        """Return the pair in the scenarios for whose names `wanted` is true."""
         return Pair(*({name: m for name, m in side.items() if wanted(name)} for side in (self.own, self.rival)))
 
     @cached_property
     def error(self) -> Score:
-        """The geometric mean over cells of the policy's mean error, capped, over the rival's."""
+        """Geometric mean over cells of the ratio of the policy's capped mean error to the rival's."""
         sides = ([capped(m, error_cap(name)) for name, m in side.items()] for side in (self.rival, self.own))
         return relative_error(*sides)
 
     @property
     def failed(self) -> int:
-        """How many episodes the policy fails."""
+        """Number of failures of the policy."""
         return sum(count_failures(m, error_cap(name)) for name, m in self.own.items())
 
     @property
     def episodes(self) -> int:
-        """How many there are."""
+        """Number of episodes."""
         return sum(map(len, self.own.values()))
 
     def over(self, what: str) -> float:
-        """Return the mean of a measure over the rival's, such as the effort."""
+        """Return the ratio of the policy's mean of a measure, such as the effort, to the rival's."""
         own, rival = (_mean(getattr(m, what) for m in side.values()) for side in (self.own, self.rival))
         return own / rival
 
@@ -80,7 +80,7 @@ def _mean(values: Iterable[Array]) -> float:
 
 
 def pairs_of(results: Results, speed_range: str = "") -> dict[str, Pair]:
-    """Return the policies that ran in all cells of a speed range, or in all there are, the smallest error first."""
+    """Return the policies that ran in all cells of a speed range, by default of both, the smallest error first."""
     cases = {
         name: case for name, case in results.cases.items() if not speed_range or speed_range_of(name) == speed_range
     }
@@ -106,12 +106,12 @@ def context(_: str = "") -> dict[str, Any]:
         "seeds": table(("agent", "seeds", *_HEADS), seed_rows(pairs[RIVAL].own, load_studies())),
         "figure": _FIGURE,
         "optimum": OPTIMUM_POLICY,
-        "better": nearer_than_optimum(results)[:1],
+        "better": better_than_optimum(results)[:1],
     }
 
 
 def vehicles_of(results: Results) -> list[str]:
-    """Return the vehicles of the suite, in its order."""
+    """Return the vehicles in the order of the suite."""
     return list(dict.fromkeys(vehicle_of(cell.scenario.name) for cell in results.suite.cells))
 
 
@@ -125,11 +125,11 @@ def _row(policy: str, pair: Pair) -> list[str]:
 
 
 def seed_rows(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[list[str]]:
-    """Return a row for each agent of several training seeds that ran in all of the cells.
+    """Return a row for each agent with several training seeds that ran in all cells.
 
     Args:
-        rival: what was measured of the rival in each cell, in metres of the paper's vehicle.
-        studies: by name: those of an agent for both speed ranges are `NAME-slow` and `NAME-cruise`.
+        rival: measures of the rival in each cell, in metres of the paper's vehicle.
+        studies: by name; those of an agent for both speed ranges are `NAME-slow` and `NAME-cruise`.
     """
     agents: dict[str, list[InSuite]] = {}
     for name, study in studies.items():
@@ -141,31 +141,26 @@ def seed_rows(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> li
             cell: steady_rmse for each in found for cell, steady_rmse in zip(each.cells, each.capped(), strict=True)
         }
         if rival.keys() <= steady_rmses.keys():
-            theirs = {cell: capped(m, error_cap(cell))[: steady_rmses[cell].shape[1]] for cell, m in rival.items()}
+            base = {cell: capped(m, error_cap(cell))[: steady_rmses[cell].shape[1]] for cell, m in rival.items()}
             disturbed = list(filter(_disturbed, rival))
             ratios = (
-                relative_error([theirs[c] for c in few], [steady_rmses[c] for c in few]) for few in (theirs, disturbed)
+                relative_error([base[c] for c in cells], [steady_rmses[c] for c in cells])
+                for cells in (base, disturbed)
             )
             own = [each for each in found if {*each.cells} <= rival.keys()]
             failed, total = sum(each.count_failures() for each in own), sum(steady_rmses[cell].size for cell in rival)
-            rows.append(
-                [
-                    f"`{agent}`",
-                    str(len(next(iter(steady_rmses.values())))),
-                    *_ratios(*ratios),
-                    failures_text(failed, total),
-                ]
-            )
+            seeds = len(next(iter(steady_rmses.values())))
+            rows.append([f"`{agent}`", str(seeds), *_ratios(*ratios), failures_text(failed, total)])
     return rows
 
 
 def _ratios(overall: Score, disturbed: Score) -> list[str]:
-    """Return the errors over the rival's in all cells and in those with a disturbance, with their intervals."""
+    """Return the error ratios in all cells and in those with a disturbance, with their intervals, as text."""
     return [f"{_ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in (overall, disturbed)]
 
 
 def _disturbed(scenario: str) -> bool:
-    """Return whether a scenario CASE@VEHICLE has any disturbance."""
+    """Return whether a scenario CASE@VEHICLE has a disturbance."""
     return not scenario.partition("@")[0].endswith(f"-{_CALM}")
 
 
@@ -173,10 +168,11 @@ def _ratio(value: float) -> str:
     return fixed(value, 2 if value < 10 else 1)
 
 
-def nearer_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
-    """Return scenario, episode, policy and by how much it is nearer than the optimum, the worst of each cell first.
+def better_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
+    """Return the policies with a smaller error than the optimum in an episode: scenario, episode, policy, difference.
 
-    Distances are in metres of the paper's vehicle. What counts is more than `ROUNDING` in a single episode.
+    Differences are in metres of the paper's vehicle and above `ROUNDING`, the largest of each policy and scenario; the
+    list begins with the largest one.
     """
     found = []
     for name, case in results.cases.items():
@@ -189,7 +185,7 @@ def nearer_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
 
 
 def figures(_: str = "") -> dict[str, bytes]:
-    """Return the figure of the page as PNG by name."""
+    """Return the figure of the page as PNG, by name."""
     results = results_of(VEHICLES_SUITE)
     assert results is not None
     with styled():
@@ -197,7 +193,7 @@ def figures(_: str = "") -> dict[str, bytes]:
 
 
 def _map(results: Results, vehicles: Sequence[str]) -> Figure:
-    """Return a map of the errors over the rival's: a row for each policy, a column a vehicle, a panel a speed range."""
+    """Return the heat map of the error ratios: a row for each policy, a column for each vehicle, two speed ranges."""
     own = {speed_range: {p: pair for p, pair in pairs_of(results, speed_range).items() if p not in FORESIGHTED}
            for speed_range in SPEED_RANGES}  # fmt: skip
     fig, [axes] = panels(1, len(own), (9.6, 1.6 + 0.27 * max(map(len, own.values()))))

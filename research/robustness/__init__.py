@@ -1,1 +1,1 @@
-"""How safe a policy is: lost episodes counted by the ten thousand, the mildest sea that loses it, what guards save."""
+"""Robustness of policies: failure rates, falsification, guards, and sensitivity to model error."""

@@ -1,10 +1,10 @@
 """Estimate failure rates with an upper confidence bound: `python -m research failure-rate --help`.
 
-Episodes are drawn from seeds of their own, on which nothing is trained, tuned or chosen, the same number of each
-scenario. The bound is exact where all episodes fail with the same probability (Clopper and Pearson, Biometrika 26
-(1934) 404). Where the scenarios' probabilities differ, it is conservative: of all probabilities with the same mean the
-equal ones make few failures the likeliest, where few is one below the expected number, or less (Hoeffding, Annals of
-Mathematical Statistics 27 (1956) 713).
+Episodes are drawn with separate seeds, on which no policy is trained, tuned or chosen, and with the same number for
+each scenario. The bound is exact if all episodes have the same failure probability (Clopper and Pearson, Biometrika 26
+(1934) 404). If the probabilities differ between scenarios, the bound is conservative: for a given mean, the probability
+of at most c failures is largest with equal probabilities, for c up to the expected number minus one (Hoeffding, Annals
+of Mathematical Statistics 27 (1956) 713).
 """
 
 from __future__ import annotations
@@ -35,40 +35,40 @@ from research import DATA
 from research.seeds import FAILURE_RATE
 
 PROGRAM = "python -m research failure-rate"
-_FILE = DATA / "certificates.json"  # what was counted
-_EPISODES = 10_000  # of all scenarios that are named together
-_AT_ONCE = 250  # episodes of a scenario that run side by side
+_FILE = DATA / "certificates.json"  # record of the counts
+_EPISODES = 10_000  # of each name of --scenario
+_BATCH = 250  # episodes of a scenario that are simulated together
 ADVERSE = tuple(f"{speed_range}-adverse" for speed_range in SPEED_RANGES)
 """Names of the storms with sensor and actuator faults."""
 FailureCount = Mapping[str, Any]
-"""What a policy did in the first seeds of `FAILURE_RATE` of a scenario: `scenario` (SHA-256 of it), `episodes`,
-`failed` (see `score.has_failed`), `largest_steady_rmse_m` [m]."""
+"""Results of a policy in a scenario, with the first seeds of `FAILURE_RATE`: `scenario` (SHA-256 of the scenario),
+`episodes`, `failed` (see `score.has_failed`), `largest_steady_rmse_m` [m]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Run policies through many fresh episodes, count the failures, and give the upper bound of their rate.
+    """Run policies through many held-out episodes, count the failures, and compute the upper bound of the rate.
 
-    Exit status: 0 done, whatever failed, 1 a policy's actions are not finite, 2 wrong usage.
+    Exit status: 0 done, with or without failures, 1 a policy's actions are not finite, 2 wrong usage.
     """
 
     policy: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY [POLICY ...]")]
     """Policies by name, folder or file."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = SPEED_RANGES
-    """Presets, scenario files, slow or cruise for the eight cases of a regime, slow-adverse or cruise-adverse for
+    """Presets, scenario files, slow or cruise for the eight cases of a speed range, slow-adverse or cruise-adverse for
     storms with sensor and actuator faults."""
     episodes: int = _EPISODES
-    """Of each name of --scenario; those of a regime are shared evenly among its cases. Those that were run before
-    count."""
+    """Number of episodes of each name of --scenario, those of earlier runs included. The cases of a speed range have
+    equal shares."""
     out: Path = _FILE
-    """File for the counts, to which episodes are added."""
+    """File for the counts. New counts are added to those of earlier runs."""
 
 
 def _scenarios_of(name: str) -> tuple[Scenario, ...]:
-    """Return the scenarios that a word of the command line stands for.
+    """Return the scenarios of a name of --scenario.
 
     Raises:
-        UsageError: it stands for none.
+        UsageError: the name is unknown.
     """
     if name in SPEED_RANGES:
         return tuple(PRESETS[f"{name}-{case}"] for case in CASES)
@@ -77,11 +77,11 @@ def _scenarios_of(name: str) -> tuple[Scenario, ...]:
     return (checked_scenario(name, (*SPEED_RANGES, *ADVERSE)),)
 
 
-def _counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
-    """Return episodes, failures and the largest tail [m] of a policy, in episode `first` and the following ones.
+def _run(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
+    """Run episodes from number `first` on; return their number, the failures and the largest steady-state error [m].
 
     Raises:
-        PolicyError: its actions are not finite.
+        PolicyError: the actions of the policy are not finite.
     """
     cell = drawn(scenario, episodes, FAILURE_RATE.first + first)
     found = rollout(make_policy(policy, scenario.vehicle), scenario, cell.episodes).measures
@@ -89,20 +89,20 @@ def _counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tupl
 
 
 def failure_counts(file: Path = _FILE) -> dict[str, dict[str, Any]]:
-    """Return what was counted, by policy: its `fingerprint`, and `counts`, a `FailureCount` by scenario.
+    """Return the recorded counts by policy: its `fingerprint`, and `counts`, a `FailureCount` for each scenario.
 
     Raises:
-        UsageError: the file holds something else.
+        UsageError: the file is no record of this command.
     """
     with checked_record(file, PROGRAM):
         record: dict[str, dict[str, Any]] = read_json(file) if file.exists() else {}
         for own in record.values():
-            together(own["counts"].values())
+            total(own["counts"].values())
         return record
 
 
-def together(counts: Iterable[FailureCount]) -> tuple[int, int, float]:
-    """Return failures, episodes and the largest tail [m] of several counts."""
+def total(counts: Iterable[FailureCount]) -> tuple[int, int, float]:
+    """Return failures, episodes and the largest steady-state error [m] of several counts together."""
     failed, episodes, steady_rmses = zip(
         *((c["failed"], c["episodes"], c["largest_steady_rmse_m"]) for c in counts), strict=True
     )
@@ -110,10 +110,10 @@ def together(counts: Iterable[FailureCount]) -> tuple[int, int, float]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Count as the arguments say and return the exit status.
+    """Count failures, record them, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     named = {name: _scenarios_of(name) for name in options.scenario}
@@ -127,19 +127,19 @@ def main(arguments: Sequence[str]) -> int:
         for policy in policies:
             for name, scenarios in named.items():
                 share = -(-options.episodes // len(scenarios))  # of each, rounded up
-                for target in (*range(_AT_ONCE, share, _AT_ONCE), share):  # in turns, so that none is ahead if it stops
-                    counts = [_until(policy, scenario, target, options.out) for scenario in scenarios]
-                failed, episodes, _ = together(counts)
-                at_most = f"{100 * failure_bound(failed, episodes):.2g} % (one-sided, 95 %)"
-                print(f"{policy}, {name}: {failed} of {episodes} lost, at most {at_most}", flush=True)
+                for target in (*range(_BATCH, share, _BATCH), share):  # scenarios in turn, so that counts stay equal
+                    counts = [_count(policy, scenario, target, options.out) for scenario in scenarios]
+                failed, episodes, _ = total(counts)
+                bound = f"{100 * failure_bound(failed, episodes):.2g} %"
+                print(f"{policy}, {name}: {failed} of {episodes} failed, 95 % upper bound {bound}", flush=True)
     except PolicyError as error:
         print(f"{called(PROGRAM)}: {policy} failed: {error}", file=sys.stderr)
         return FAILED
     return DONE
 
 
-def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> FailureCount:
-    """Run a policy until so many episodes of a scenario are counted in a file; return the count."""
+def _count(policy: str, scenario: Scenario, episodes: int, out: Path) -> FailureCount:
+    """Run a policy until a file has the counts of this number of episodes of a scenario; return the counts."""
     text = json.dumps(scenario.to_dict(), sort_keys=True, allow_nan=False)
     digest, print_ = hashlib.sha256(text.encode()).hexdigest(), fingerprint(policy)
     while True:
@@ -151,10 +151,10 @@ def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> Failure
             count = {"scenario": digest, "episodes": 0, "failed": 0, "largest_steady_rmse_m": 0.0}
         if count["episodes"] >= episodes:
             return count
-        ran, failed, worst = _counted(policy, scenario, count["episodes"], min(_AT_ONCE, episodes - count["episodes"]))
+        more, failed, worst = _run(policy, scenario, count["episodes"], min(_BATCH, episodes - count["episodes"]))
         count = {
             "scenario": digest,
-            "episodes": count["episodes"] + ran,
+            "episodes": count["episodes"] + more,
             "failed": count["failed"] + failed,
             "largest_steady_rmse_m": max(count["largest_steady_rmse_m"], worst),
         }

@@ -1,9 +1,10 @@
-"""Look for the mildest sea that loses a policy, and write it as a scenario: `python -m research falsification --help`.
+"""Find the smallest disturbances that make a policy fail: `python -m research falsification --help`.
 
-A sea is a point (`research.robustness.seas`), its severity the factor by which the storm's ranges are stretched
-until they hold it. An evolution strategy moves a direction; along it seas of growing severity run side by side, until
-the policy loses most of the episodes of one. What is minimised is the severity at which it does. All policies get the
-same budget. That no milder sea was found is no proof that there is none.
+Disturbances are points of a search space (`research.robustness.search_space`). The severity of a point is the factor by
+which the ranges of the storm are stretched to contain it. CMA-ES varies a direction. Along each direction points of
+growing severity are simulated together, and the objective is the severity at which the policy fails in most episodes.
+The point is confirmed on other episodes and written as a scenario. All policies have the same budget. The search does
+not prove that no smaller disturbance exists.
 """
 
 from __future__ import annotations
@@ -35,46 +36,46 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, called, check
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.search import strategies
 from research import DATA, DOCS
-from research.robustness.seas import SEA_KINDS, names, sea
+from research.robustness.search_space import KINDS, coordinate_names, scenario_at
 from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
-SEAS_FOLDER = DOCS / "seas"  # of the scenarios that were found
-_FILE = DATA / "seas.json"  # what was found
+SCENARIO_FOLDER = DOCS / "seas"  # folder of the scenarios
+_FILE = DATA / "seas.json"  # record of the results
 _POPULATION = 12  # directions of a generation
-_EPISODES = 3  # of a sea while it is looked for; the one in the middle counts
+_EPISODES = 3  # episodes at a point during the search; the median counts
 _FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
-"""Severities along a direction before a sea is found."""
+"""Severities along a direction until a point is found."""
 AROUND = (0.75, 0.85, 0.93, 1.0, 1.1, 1.25, 1.5)
-"""Severities along a direction afterwards, in units of the least one so far."""
-CONFIRMED = 64  # fresh episodes of the sea in the end, of which it loses half or more
-_STEPS = 1.03  # by which the severity grows, from one attempt to confirm it to the next
-_SEED = 1  # of the evolution strategy
+"""Severities along a direction afterwards, in units of the smallest one found so far."""
+CONFIRMED = 64  # held-out episodes at the result; the policy must fail in half of them or more
+_STEP = 1.03  # factor of the severity from one attempt of the confirmation to the next
+_SEED = 1  # seed of CMA-ES
 
 
 @dataclass(frozen=True)
 class Options:
-    """Look for the mildest sea that loses each policy; write it as a scenario, and what was found to seas.json.
+    """Find the smallest disturbances that make each policy fail; write the scenarios and a record of the results.
 
-    Exit status: 0 done, found or not, 1 a policy failed, 2 wrong usage.
+    Exit status: 0 done, with or without a result, 1 a policy's actions are not finite, 2 wrong usage.
     """
 
     policy: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY [POLICY ...]")]
     """Policies by name, folder or file."""
     speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
-    """Slow, cruise, or both."""
-    sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = SEA_KINDS
-    """What is stretched: storm, the ranges of the presets' storm on slewing thrusters; adverse, those of the storm of
-    training in which sensors, commands and actuators are not as told either."""
+    """Speed ranges: slow, cruise."""
+    sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = KINDS
+    """Ranges that are stretched: storm, those of the presets' storm with slewing actuators; adverse, those of the storm
+    of the training, also with sensor and actuator faults."""
     generations: int = 24
     """Generations of the search; a generation is 252 episodes."""
-    out: Path = SEAS_FOLDER
-    """Folder for the scenarios. Another folder than that of the page gets a seas.json of its own, too."""
+    out: Path = SCENARIO_FOLDER
+    """Folder for the scenarios. A folder other than the default also contains the record."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Whom to lose, and in which seas."""
+    """A policy, and the search space in which it is made to fail."""
 
     policy: str
     speed_range: str
@@ -82,31 +83,31 @@ class Search:
 
     @property
     def name(self) -> str:
-        """Name of the scenario that is found."""
+        """Name of the resulting scenario."""
         plain = "".join(c if c.isalnum() else "-" for c in self.policy)
         return f"{self.speed_range}-{self.kind}-that-loses-{plain}"
 
     def scenario(self, severity: float, towards: Array) -> Scenario:
-        """Return the sea at a severity in a direction; see `seas.sea`."""
-        return sea(self.speed_range, self.kind, self.name, severity, towards)
+        """Return the scenario at a severity in a direction, see `search_space.scenario_at`."""
+        return scenario_at(self.speed_range, self.kind, self.name, severity, towards)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The mildest sea that was found."""
+    """Result of a search."""
 
     fingerprint: str  # of the policy
-    severity: float  # inf: none
-    coordinates: dict[str, float]  # by name: severity times direction, but for the current's own direction
-    failed: int  # of `CONFIRMED` fresh episodes
-    episodes: int  # that the search has run
+    severity: float  # inf: no point was found
+    coordinates: dict[str, float]  # severity times direction, by name; the direction of the current is not multiplied
+    failed: int  # number of failures in `CONFIRMED` held-out episodes
+    episodes: int  # number of episodes of the search
 
 
-def closeness(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array]:
-    """Return how near to lost a policy is in the seas of some cells, and in how many of its episodes it is lost.
+def failure_margins(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array]:
+    """Return the margin of failure of a policy and its number of failures in each cell, shape (cells,) each.
 
-    The first is the logarithm of the middle tail error over the one from which an episode is lost: 0 and more where
-    most are; shape (cells,) each.
+    The margin is the logarithm of the median steady-state error divided by the error cap. It is 0 or more if most
+    episodes fail.
     """
     cap = ERROR_CAPS[search.speed_range]
     with warnings.catch_warnings():
@@ -118,13 +119,13 @@ def closeness(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array]:
     return np.log(np.array([np.quantile(t, 0.5, method="lower") for t in steady_rmses]) / cap), np.array(failed)
 
 
-def crossing(severities: Sequence[float], near: Sequence[float]) -> float:
-    """Return the severity at which closeness first reaches 0, between the two that enclose it.
+def crossing(severities: Sequence[float], margins: Sequence[float]) -> float:
+    """Return the interpolated severity at which the margin of failure first reaches 0.
 
-    Where it does at the first one already, that one; where it never does, beyond the last one, the farther the less
-    close it comes. Seas that cannot be sailed, nan, do not count.
+    If the first margin is 0 or more, the result is at most the first severity. If all margins are negative, it is
+    beyond the last severity, and the farther the smaller the last margin is. NaN margins are ignored.
     """
-    known = [(s, n) for s, n in zip(severities, near, strict=True) if math.isfinite(n)]
+    known = [(s, n) for s, n in zip(severities, margins, strict=True) if math.isfinite(n)]
     if not known:
         return 2.0 * severities[-1]
     for (s, n), (t, m) in zip([(known[0][0], -1.0), *known], known, strict=False):
@@ -133,93 +134,100 @@ def crossing(severities: Sequence[float], near: Sequence[float]) -> float:
     return known[-1][0] * (1.0 - known[-1][1])
 
 
-def sailed(search: Search, towards: Sequence[Array], severities: Sequence[float], seed: int) -> Array:
-    """Return the closeness in the seas along some directions, shape (directions, severities); nan: no such sea."""
+def margins_along(search: Search, towards: Sequence[Array], severities: Sequence[float], seed: int) -> Array:
+    """Return the margins of failure along directions, shape (directions, severities); NaN without a scenario."""
     cells: dict[tuple[int, int], Cell] = {}
     for i, direction in enumerate(towards):
         for j, severity in enumerate(severities):
-            with suppress(ValueError):  # its path cannot be followed, or its vehicle not be integrated
+            with suppress(ValueError):  # the path is infeasible, or the vehicle too stiff for the integration
                 cells[i, j] = drawn(search.scenario(severity, direction), _EPISODES, seed)
-    near = np.full((len(towards), len(severities)), math.nan)
+    margins = np.full((len(towards), len(severities)), math.nan)
     if cells:
-        for place, value in zip(cells, closeness(search, list(cells.values()))[0], strict=True):
-            near[place] = value
-    return near
+        for place, value in zip(cells, failure_margins(search, list(cells.values()))[0], strict=True):
+            margins[place] = value
+    return margins
 
 
-def found_by(search: Search, generations: int) -> _Found:
-    """Return the mildest sea that a search finds.
+def smallest_point(search: Search, generations: int) -> _Found:
+    """Return the point of smallest severity that a search finds.
 
     Raises:
-        PolicyError: the policy's actions are not finite.
+        PolicyError: the actions of the policy are not finite.
     """
-    size = len(names(search.speed_range, search.kind))
+    size = len(coordinate_names(search.speed_range, search.kind))
     options: dict[str, Any] = {"popsize": _POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
     strategy = strategies().CMAEvolutionStrategy(np.full(size, 0.3), 0.5, options | {"CMA_diagonal": True})
-    best, ran, direction = math.inf, 0, np.zeros(size)
+    best, episodes, direction = math.inf, 0, np.zeros(size)
     for generation in range(generations):
         severities = _FIRST if math.isinf(best) else tuple(best * share for share in AROUND)
         towards = [np.asarray(t) / np.max(np.abs(t[:-1])) for t in strategy.ask()]
         towards = [np.append(t[:-1], np.clip(t[-1], -1.0, 1.0)) for t in towards]
-        near = sailed(search, towards, severities, FALSIFICATION.first + generation * _EPISODES)
-        ran += _EPISODES * int(np.isfinite(near).sum())
-        values = [crossing(severities, row) for row in near.tolist()]
+        margins = margins_along(search, towards, severities, FALSIFICATION.first + generation * _EPISODES)
+        episodes += _EPISODES * int(np.isfinite(margins).sum())
+        values = [crossing(severities, row) for row in margins.tolist()]
         strategy.tell(towards, values)
         least = int(np.argmin(values))
-        if values[least] < best and np.nanmax(near[least]) >= 0.0:
+        if values[least] < best and np.nanmax(margins[least]) >= 0.0:
             best, direction = values[least], towards[least]
         print(f"{search.name}: generation {generation + 1}, severity {best:.3f}", flush=True)
-    return _confirmed(search, best, direction, ran)
+    return _confirm(search, best, direction, episodes)
 
 
-def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> _Found:
-    """Return a sea along a direction that loses half of fresh episodes or more, the mildest from a severity on."""
+def _confirm(search: Search, severity: float, towards: Array, episodes: int) -> _Found:
+    """Return the point of smallest severity along a direction at which half of held-out episodes or more fail.
+
+    Args:
+        search: the search.
+        severity: smallest severity to try.
+        towards: the direction.
+        episodes: number of episodes of the search so far.
+    """
     seed, digest = FALSIFICATION.end - CONFIRMED, fingerprint(search.policy)
     while math.isfinite(severity) and severity < 2.0 * _FIRST[-1]:
-        ran += CONFIRMED
+        episodes += CONFIRMED
         cell = drawn(search.scenario(severity, towards), CONFIRMED, seed)
-        failed = int(closeness(search, [cell])[1][0])
+        failed = int(failure_margins(search, [cell])[1][0])
         if 2 * failed >= CONFIRMED:
-            *place, direction = names(search.speed_range, search.kind)
+            *place, direction = coordinate_names(search.speed_range, search.kind)
             where = {name: severity * float(x) for name, x in zip(place, towards, strict=False)}
-            return _Found(digest, severity, {**where, direction: float(towards[-1])}, failed, ran)
-        severity *= _STEPS
-    return _Found(digest, math.inf, {}, 0, ran)
+            return _Found(digest, severity, {**where, direction: float(towards[-1])}, failed, episodes)
+        severity *= _STEP
+    return _Found(digest, math.inf, {}, 0, episodes)
 
 
-def found_seas(file: Path = _FILE) -> dict[str, dict[str, Any]]:
-    """Return what was found, a `_Found` as a dict by the name of the search.
+def found_points(file: Path = _FILE) -> dict[str, dict[str, Any]]:
+    """Return the recorded results, a `_Found` as a dict for each name of a search.
 
     Raises:
         ValueError: the file is damaged.
     """
     record = read_json(file) if file.exists() else {}
     if not isinstance(record, dict):
-        raise ValueError(f"{file} does not hold what {PROGRAM} writes; delete it, or name another folder with --out")
+        raise ValueError(f"{file} is no record of {PROGRAM}; delete it, or name another folder with --out")
     return record
 
 
-def _record(folder: Path) -> Path:
-    """Return the file about the seas whose scenarios are in a folder."""
-    return _FILE if folder.resolve() == SEAS_FOLDER.resolve() else folder / _FILE.name
+def _record_of(folder: Path) -> Path:
+    """Return the record of the scenarios in a folder."""
+    return _FILE if folder.resolve() == SCENARIO_FOLDER.resolve() else folder / _FILE.name
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Search as the arguments say and return the exit status.
+    """Run the searches, record their results, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("speed range", options.speed_range, SPEED_RANGES)
-    check_words("sea", options.sea, SEA_KINDS)
+    check_words("sea", options.sea, KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
     policies = checked_policies(options.policy)
     folder = checked_folder(options.out)
     try:
         strategies()
-        found_seas(_record(folder))
+        found_points(_record_of(folder))
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
     searches = [
@@ -227,7 +235,7 @@ def main(arguments: Sequence[str]) -> int:
     ]
     for search in searches:
         try:
-            found = found_by(search, options.generations)
+            found = smallest_point(search, options.generations)
         except PolicyError as error:
             print(f"{called(PROGRAM)}: {search.policy} failed: {error}", file=sys.stderr)
             return FAILED
@@ -236,14 +244,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _write(search: Search, found: _Found, folder: Path) -> None:
-    """Add what was found to a folder, and say it."""
+    """Write the result of a search and its scenario to a folder, and print it."""
     about = {"policy": search.policy, "speed_range": search.speed_range, "sea": search.kind}
-    file = _record(folder)
-    write_atomically(file, json_text({**found_seas(file), search.name: {**about, **asdict(found)}}))
+    file = _record_of(folder)
+    write_atomically(file, json_text({**found_points(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):
         print(f"{search.name}: none found in {found.episodes} episodes")
         return
     (*_, direction) = found.coordinates
     towards = [x / (1.0 if name == direction else found.severity) for name, x in found.coordinates.items()]
     search.scenario(found.severity, np.array(towards)).save(folder / f"{search.name}.toml")
-    print(f"{search.name}: severity {found.severity:.3f}, {found.failed} of {CONFIRMED} episodes lost", flush=True)
+    print(f"{search.name}: severity {found.severity:.3f}, {found.failed} of {CONFIRMED} episodes failed", flush=True)

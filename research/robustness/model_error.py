@@ -1,8 +1,9 @@
-"""Sensitivity to model error: `python -m research model-error --help`, and its page, docs/sensitivity.md.
+"""Measure the sensitivity to model error: `python -m research model-error --help`.
 
-The study measures by how much the score on frozen episodes is lower where a policy is given a wrong vehicle model.
-Vehicles and plans stay as they are. Every parameter of the given model has an error of its own. Mass and inertia are
-also the units in which a policy sees everything (`auv_gym.physics.units`): they are wrong in one of the two ways only.
+The study measures the loss of score on frozen episodes if a policy is given a wrong vehicle model. True vehicles and
+plans are unchanged. Each parameter of the given model has its own error. Mass and inertia also define the units of a
+policy (`auv_gym.physics.units`), so they are wrong in only one of the two sets of parameters. The page is
+docs/sensitivity.md.
 """
 
 from __future__ import annotations
@@ -50,68 +51,68 @@ from research import DATA
 from research.seeds import SENSITIVITY
 
 PROGRAM = "python -m research model-error"
-_PRECISION = "float32"  # of the networks: a fifth of the time, and errors that differ by 1e-6
+_PRECISION = "float32"  # precision of the networks: a fifth of the time, and a difference of errors of 1e-6
 MODEL_ERROR_FOLDER = DATA / "model_error"
 _POLICIES = ("helm-any", "helm", "ekf", "backstepping", "nmpc")
 """Policies by default."""
 _SUITE = "benchmark-v1"
-"""Whose episodes run, and whose anchors the score has."""
+"""Suite of the episodes and of the anchors of the score."""
 ERROR_SIZES = (0.2, 0.4, 0.6)
-"""How wrong a parameter is at most, as a share of it; any error up to that is as likely as another."""
+"""Largest relative errors of a parameter; errors are uniform between plus and minus the largest one."""
 _MODELS = 12
-"""Wrong models of each size, the same ones for all policies."""
+"""Number of wrong models of each size, the same ones for all policies."""
 _EPISODES = 12
-"""Episodes of each case, the first ones of the suite."""
-LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
-"""Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
+"""Number of episodes of each case, the first ones of the suite."""
+FEWER: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
+"""Numbers of models and episodes of slow policies, which run with the largest size only."""
 KEPT_EPISODES = 3
-"""Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
+"""Number of episodes of each case whose errors are recorded one by one, with the true and the first wrong model."""
 
 _PARAMETERS = ("m11", "m22", "m33", "d11", "d22", "d33")
 """Parameters of the vehicle that may be wrong."""
 
 
-class _Way(NamedTuple):
-    """A way in which a vehicle model is wrong."""
+class _ParameterSet(NamedTuple):
+    """Parameters of a vehicle model that are wrong together."""
 
-    names: tuple[str, ...]  # the parameters that are wrong
-    says: str
+    names: tuple[str, ...]
+    label: str
 
 
-WAYS: Mapping[str, _Way] = {
-    "ratios": _Way(("m22", "d11", "d22", "d33"), "m22, drag"),
-    "all": _Way(_PARAMETERS, "m22, drag, m11, m33"),
+PARAMETER_SETS: Mapping[str, _ParameterSet] = {
+    "ratios": _ParameterSet(("m22", "d11", "d22", "d33"), "m22, drag"),
+    "all": _ParameterSet(_PARAMETERS, "m22, drag, m11, m33"),
 }
-"""The ways, by name."""
+"""Sets of wrong parameters, by name."""
 
 
-def mistakes(number: int) -> dict[str, float]:
-    """Return how wrong each parameter of a model is, by its number: shares of the largest size, in -1 ... 1.
+def model_errors(number: int) -> dict[str, float]:
+    """Return the errors of the parameters of wrong model `number`, in -1 ... 1 as shares of the largest error.
 
-    They are drawn together, until there is such a vehicle in every way.
+    They are drawn again until the vehicle is valid with each set of parameters.
     """
     rng = np.random.default_rng([SENSITIVITY.first + number, 5])
     while True:
         drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in _PARAMETERS}
         with suppress(ValueError):  # no slender vehicle
-            for way in WAYS.values():
-                wrong(PAPER_VEHICLE, drawn, ERROR_SIZES[-1], way)
+            for wrong in PARAMETER_SETS.values():
+                wrong_model(PAPER_VEHICLE, drawn, ERROR_SIZES[-1], wrong)
             return drawn
 
 
-def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: _Way) -> Vehicle:
-    """Return the model that is given in place of a vehicle.
+def wrong_model(vehicle: Vehicle, errors: Mapping[str, float], size: float, wrong: _ParameterSet) -> Vehicle:
+    """Return the wrong model of a vehicle.
 
     Args:
-        vehicle: the true one.
-        mistaken: see `mistakes`.
-        size: how wrong a parameter is at most.
-        way: which of them are wrong.
+        vehicle: the true vehicle.
+        errors: errors of the parameters, see `model_errors`.
+        size: largest relative error.
+        wrong: the parameters that are wrong.
 
     Raises:
-        ValueError: there is no such vehicle.
+        ValueError: the result is no valid vehicle.
     """
-    return replace(vehicle, **{name: (1 + size * mistaken[name]) * getattr(vehicle, name) for name in way.names})
+    return replace(vehicle, **{name: (1 + size * errors[name]) * getattr(vehicle, name) for name in wrong.names})
 
 
 def cells_of(speed_range: str, episodes: int) -> list[Cell]:
@@ -120,31 +121,28 @@ def cells_of(speed_range: str, episodes: int) -> list[Cell]:
 
 
 def with_wrong_models(name: str, speed_range: str, episodes: int | None = None) -> dict[str, Any]:
-    """Return the loss of a policy's capped score with wrong vehicle models, as plain numbers.
+    """Return the results of a policy with the true and with wrong vehicle models, as JSON values.
 
     Args:
-        name: of the policy; none that uses more than the observation.
-        speed_range: the speed range, "slow" or "cruise".
-        episodes: of each case. None: `_EPISODES`, or fewer of one that takes its time.
+        name: name of the policy, which must use the observation only.
+        speed_range: "slow" or "cruise".
+        episodes: number of episodes of each case. None: `_EPISODES`, or that of `FEWER`.
 
     Raises:
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    models, usual = LESS.get(name, (_MODELS, _EPISODES))
-    sizes, cells = ERROR_SIZES[-1:] if name in LESS else ERROR_SIZES, cells_of(speed_range, episodes or usual)
-    known, true = cells[0].scenario.vehicle, SideBySide(cells)
+    models, usual = FEWER.get(name, (_MODELS, _EPISODES))
+    sizes, cells = ERROR_SIZES[-1:] if name in FEWER else ERROR_SIZES, cells_of(speed_range, episodes or usual)
+    vehicle, batch = cells[0].scenario.vehicle, SideBySide(cells)
     zero, one = (_recorded(policy, speed_range, cells) for policy in load_suite(_SUITE).anchors)
-    right, failed = _steady_rmses(name, known, true, speed_range)
+    right, failed = _steady_rmses(name, vehicle, batch, speed_range)
 
-    def compared(way: _Way, size: float) -> dict[str, Any]:
-        each, gone = [], []
-        for vehicle in (wrong(known, mistakes(k), size, way) for k in range(models)):
-            steady_rmses, own = _steady_rmses(name, vehicle, true, speed_range)
-            each.append(steady_rmses)
-            gone.append(own)
-        rows = [np.array(own) for own in zip(*each, strict=True)]
-        return {"size": size, "failed": gone, **_compared(zero, right, rows, one)}
+    def compared(wrong: _ParameterSet, size: float) -> dict[str, Any]:
+        wrong_models = (wrong_model(vehicle, model_errors(k), size, wrong) for k in range(models))
+        results = [_steady_rmses(name, model, batch, speed_range) for model in wrong_models]
+        rows = [np.array(own) for own in zip(*(steady_rmses for steady_rmses, _ in results), strict=True)]
+        return {"size": size, "failed": [own for _, own in results], **_compared(zero, right, rows, one)}
 
     return {
         "episodes": len(cells[0].episodes),
@@ -155,7 +153,7 @@ def with_wrong_models(name: str, speed_range: str, episodes: int | None = None) 
             "error_m": [round(float(row.mean()), 6) for row in right],
             "first_m": [np.round(row[:KEPT_EPISODES], 6).tolist() for row in right],
         },
-        "wrong": {key: [compared(way, size) for size in sizes] for key, way in WAYS.items()},
+        "wrong": {key: [compared(wrong, size) for size in sizes] for key, wrong in PARAMETER_SETS.items()},
     }
 
 
@@ -166,17 +164,17 @@ def _recorded(policy: str, speed_range: str, cells: Sequence[Cell]) -> list[Arra
     return [capped(row[:count], ERROR_CAPS[speed_range]) for row, count in rows if row is not None]
 
 
-def _steady_rmses(name: str, model: Vehicle, there: SideBySide, speed_range: str) -> tuple[list[Array], int]:
+def _steady_rmses(name: str, model: Vehicle, batch: SideBySide, speed_range: str) -> tuple[list[Array], int]:
     """Return the capped errors [m] of a policy with a vehicle model, cell by cell, and the number of failures."""
     cap = ERROR_CAPS[speed_range]
-    with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
+    with warnings.catch_warnings():  # an unstable law with a wrong model is a part of the result
         warnings.simplefilter("ignore", StabilityWarning)
-        ended = there.run(acting(name, model))
+        ended = batch.run(policy_with(name, model))
     return [capped(e, cap) for e in ended], sum(count_failures(e, cap) for e in ended)
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
-    """Compare the errors with wrong models, shape (models, M) in each cell, to those with the true one."""
+    """Return the comparison of the errors with wrong models, shape (models, M) by cell, to those with the true one."""
     above = partial(lead, zero, right, one=one)
     return {
         "score": _ends(seeds_score(zero, each, one)),
@@ -191,8 +189,8 @@ def _ends(value: Score) -> list[float]:
     return [round(float(x), 5) for x in (value.mean, *value.ci95)]
 
 
-def acting(name: str, vehicle: Vehicle) -> Policy:
-    """Return a policy by name that is given a vehicle model; the network of an agent computes in single precision.
+def policy_with(name: str, vehicle: Vehicle) -> Policy:
+    """Return a policy by name with a given vehicle model; the network of an agent computes in single precision.
 
     Raises:
         OSError: an agent cannot be read.
@@ -205,9 +203,9 @@ def acting(name: str, vehicle: Vehicle) -> Policy:
 
 @dataclass(frozen=True)
 class Options:
-    """Measure the sensitivity of policies to model error; a file for each policy.
+    """Measure the sensitivity of policies to model error and write a file for each policy.
 
-    All of it takes about ten minutes of one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
+    It takes about ten minutes on one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
@@ -217,20 +215,20 @@ class Options:
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Episodes of each case. Default: 12, of nmpc 6."""
     out: Path = MODEL_ERROR_FOLDER
-    """Folder for the files. Results of other policies are left in it."""
+    """Folder for the files. Files of other policies are kept."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure as the arguments say and return the exit status.
+    """Measure policies, write their files, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", [name for name in options.policy if agent_folder(name) is None], list_policies())
     check_words("speed range", options.speed_range, SPEED_RANGES)
     if privileged := [name for name in options.policy if name in FORESIGHTED]:
-        raise UsageError(f"{privileged[0]} uses more than the observation, so no model of it is wrong; leave it out")
+        raise UsageError(f"{privileged[0]} uses more than the observation, so it has no wrong model; leave it out")
     if options.episodes is not None and options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more, since intervals are over episodes")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -251,14 +249,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def context(_: str = "", folder: Path = MODEL_ERROR_FOLDER) -> dict[str, Any]:
-    """Return what the page shows of the records in a folder.
+    """Return the values of the page's template from the records in a folder.
 
     Raises:
         ValueError: a file is damaged.
     """
     found = {file.stem: read_json(file) for file in folder.glob("*.json")}
     own = dict(sorted(found.items(), key=lambda item: (item[0] == EXPERT, item[0] == RIVAL, item[0])))
-    places = [(speed_range, key) for speed_range in SPEED_RANGES for key in WAYS]
+    places = [(speed_range, key) for speed_range in SPEED_RANGES for key in PARAMETER_SETS]
     return {
         "records": {
             speed_range: [
@@ -268,7 +266,7 @@ def context(_: str = "", folder: Path = MODEL_ERROR_FOLDER) -> dict[str, Any]:
         },
         "sizes": [f"up to {100 * size:.0f} %" for size in ERROR_SIZES],
         "largest": f"{100 * ERROR_SIZES[-1]:.0f} %",
-        "columns": [f"{speed_range}: {WAYS[key].says}" for speed_range, key in places],
+        "columns": [f"{speed_range}: {PARAMETER_SETS[key].label}" for speed_range, key in places],
         "summary": [[f"`{name}`", *(_at_most(record, *place) for place in places)] for name, record in own.items()],
     }
 
@@ -281,9 +279,9 @@ def _at_most(record: Mapping[str, Any], speed_range: str, key: str) -> str:
 
 
 def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
-    """Yield a row for each way in which a policy was given wrong vehicle models."""
+    """Yield a row for each set of wrong parameters."""
     right = of["right"]
-    for key, way in WAYS.items():
+    for key, wrong in PARAMETER_SETS.items():
         sizes = {float(at["size"]): at for at in of["wrong"][key]}
         last, episodes = sizes[max(sizes)], of["episodes"] * len(of["cases"])
         worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
@@ -292,7 +290,15 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
         less = [f"{sizes[size]['above'][0]:+.3f}" if size in sizes else "-" for size in ERROR_SIZES[:-1]]
         above = [*less, _spread(last["above"])]
         failed = f"{sum(last['failed'])} of {len(last['failed']) * episodes}; {right['failed']} of {episodes}"
-        yield [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, failed]
+        yield [
+            f"`{name}`",
+            f"{right['score'][0]:.3f}",
+            wrong.label,
+            *above,
+            f"{min(last['hulls']):+.3f}",
+            growth,
+            failed,
+        ]
 
 
 def _spread(ends: Sequence[float]) -> str:

@@ -12,11 +12,11 @@ from baselines.tools.files import read_json
 from research.robustness import failure_rate, falsification, guards
 
 _SHOWN = 6
-"""How many coordinates of a point the page shows, the largest ones."""
+"""Number of coordinates of a point on the page, the largest ones."""
 
 
 def context(_: str = "") -> dict[str, Any]:
-    """Return the rows of the page's tables."""
+    """Return the rows of the tables of the page."""
     kept = read_json(guards.GUARDS_FILE)
     rates = [row for policy, own in failure_rate.failure_counts().items() for row in _rates(policy, own["counts"])]
     _, _, episodes, failures, at_most, _ = next(row for row in rates if row[0] == "`helm`")
@@ -25,14 +25,9 @@ def context(_: str = "") -> dict[str, Any]:
         "rates": rates,
         "episodes": episodes,
         "at_most": at_most,
-        "seas": [_sea(name, found) for name, found in sorted(falsification.found_seas().items(), key=_place)],
+        "points": [_point(name, found) for name, found in sorted(falsification.found_points().items(), key=_place)],
         "suites": [
-            [
-                f"`{policy}`",
-                suite,
-                *(row[key] for key in guards.COUNTS),
-                *(f"{row[k]:.2f}" for k in guards.STEADY_RMSES),
-            ]
+            [f"`{policy}`", suite, *(row[k] for k in guards.COUNTS), *(f"{row[k]:.2f}" for k in guards.STEADY_RMSES)]
             for policy, own in kept.items()
             for suite, row in own.items()
             if suite != guards.FINGERPRINT
@@ -41,17 +36,17 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list[list[str]]:
-    """Return a row of a policy for each set of scenarios that its episodes were drawn from."""
+    """Return the rows of a policy, one for each set of scenarios."""
     groups: dict[str, list[failure_rate.FailureCount]] = {}
     for name, count in counts.items():
         place = name if name in failure_rate.ADVERSE else f"the eight cases, {speed_range_of(name)}"
         groups.setdefault(place, []).append(count)
     rows = []
     for place, own in groups.items():
-        failed, episodes, worst = failure_rate.together(own)
+        failed, episodes, worst = failure_rate.total(own)
         at_most = f"{100 * failure_bound(failed, episodes):.2g} %"
-        alike = "" if len({count["episodes"] for count in own}) == 1 else ", some more often"
-        rows.append([f"`{policy}`", f"{place}{alike}", str(episodes), str(failed), at_most, f"{100 * worst:.3g}"])
+        unequal = "" if len({count["episodes"] for count in own}) == 1 else ", some more often"
+        rows.append([f"`{policy}`", f"{place}{unequal}", str(episodes), str(failed), at_most, f"{100 * worst:.3g}"])
     return rows
 
 
@@ -60,7 +55,7 @@ def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, str, float]:
     return found["sea"], found["speed_range"], -(found["severity"] or math.inf)
 
 
-def _sea(name: str, found: Mapping[str, Any]) -> list[str]:
+def _point(name: str, found: Mapping[str, Any]) -> list[str]:
     known = [(key, x) for key, x in found["coordinates"].items() if key != "direction"]
     largest = sorted(known, key=lambda entry: -abs(entry[1]))[:_SHOWN]
     severity = found["severity"]

@@ -1,1 +1,1 @@
-"""Pictures and pages of the documentation that need a browser."""
+"""The live page, and screenshots for the documentation."""

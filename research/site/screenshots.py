@@ -1,6 +1,6 @@
-"""Pictures of the report for the documentation: `python -m research screenshots`.
+"""Take screenshots of the report for the documentation: `python -m research screenshots`.
 
-It evaluates a few policies, opens the pages in a browser without a window and photographs them.
+The command evaluates a few policies and takes screenshots of the report in a headless browser.
 """
 
 from __future__ import annotations
@@ -19,41 +19,41 @@ from baselines.tools.files import write_atomically
 from research import DOCS
 
 PROGRAM = "python -m research screenshots"
-IMAGES = DOCS / "images"  # folder of the pictures
+IMAGES = DOCS / "images"  # folder for the screenshots
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-"""Programs that can take the pictures."""
+"""Names of the browser programs, in the order in which they are tried."""
 _POLICIES = ("ekf", "apg-cruise", "lqi")
-"""What runs besides the expert."""
-READY = "document.documentElement.dataset.ready === 'charts'"  # in the browser, once everything is drawn
-_PATIENCE = 120_000  # milliseconds that a page may take
+"""Policies of the report, in addition to the expert."""
+READY = "document.documentElement.dataset.ready === 'charts'"  # true in the browser after all charts are drawn
+_TIMEOUT = 120_000  # [ms], for loading a page
 
 
 @dataclass(frozen=True)
 class Options:
-    """Write the pictures of the report in docs/images. It needs the extra dev, and Chromium or Chrome.
+    """Write screenshots of the report to docs/images. This needs the extra `dev`, and Chromium or Chrome.
 
     Exit status: 0 done, 1 nothing could be written, 2 wrong usage.
     """
 
     out: Path = IMAGES
-    """Folder for the pictures."""
+    """Folder for the screenshots."""
     pages: Path | None = None
-    """Folder with the pages of an earlier call, in place of evaluating again; made where it is missing."""
+    """Folder for the report. A report of an earlier call is used again."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Take the pictures and return the exit status.
+    """Take the screenshots and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense, or there is no browser.
+        UsageError: the arguments are invalid, or there is no browser.
     """
     options = parse(Options, arguments, PROGRAM)
     program = next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None:
-        raise UsageError(f"no browser is installed; it needs one of {', '.join(BROWSERS)}")
+        raise UsageError(f"no browser is installed; the command needs one of {', '.join(BROWSERS)}")
     with tempfile.TemporaryDirectory() as temporary:
         pages = options.pages or Path(temporary)
-        _evaluated(pages)
+        _evaluate(pages)
         try:
             options.out.mkdir(parents=True, exist_ok=True)
             for name, png in _pictures(program, pages).items():
@@ -65,15 +65,15 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _evaluated(pages: Path) -> None:
-    """Make the page where it is missing."""
+def _evaluate(pages: Path) -> None:
+    """Evaluate the policies if the report is missing."""
     if not (pages / "suite" / "report.html").exists():
         words = ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES)
         entry.main([*words, "--out", str(pages / "suite")])
 
 
 def _pictures(program: str, pages: Path) -> dict[str, bytes]:
-    """Return the pictures as PNG, by name."""
+    """Return the screenshots as PNG, by name."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
@@ -96,12 +96,12 @@ def _pictures(program: str, pages: Path) -> dict[str, bytes]:
 def _opened(browser: Any, file: Path, width: int = 1100) -> Any:
     page = browser.new_page(viewport={"width": width, "height": 860})
     page.goto(file.resolve().as_uri())
-    page.wait_for_function(READY, timeout=_PATIENCE)
+    page.wait_for_function(READY, timeout=_TIMEOUT)
     return page
 
 
 def _at(page: Any, share: float) -> None:
-    """Put the player to a share of the episode."""
+    """Move the player to a share of the episode."""
     move = "(slider, share) => { slider.value = share * slider.max; slider.dispatchEvent(new Event('input')); }"
     page.locator("#time").evaluate(move, share)
     page.wait_for_timeout(500)

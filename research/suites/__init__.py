@@ -1,1 +1,1 @@
-"""How the frozen suites are made, recorded and verified."""
+"""Commands that build, record and verify the frozen suites."""

@@ -1,4 +1,4 @@
-"""What the frozen suites are made of."""
+"""Recipes of the frozen suites."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ from baselines.evaluation.suites import rounded
 from research.suites import deep, sealed
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
-"""Path families that agents train on; each has the same number of episodes in a cell."""
+"""Path families of the training; each has the same number of episodes in a cell."""
 GENTLE = ("line", "circle", "sine", "random_smooth")
-"""Those that every published vehicle can follow: the lobes of a figure-eight turn faster than a rudder or the little
-sway drag of a ship allows."""
-_EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
-_VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
-UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
-SEALED_EPISODES = 64  # in a cell of a sealed suite
-DEEP_EPISODES = 60  # in a cell of deep-v1
-VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # in a cell of vehicles-v1
-STRONGER = 1.5  # factor out of distribution on current and waves
-FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
+"""Path families that every published vehicle can follow. A figure-eight turns too fast for some rudders, and for ships
+with little sway drag."""
+_EPISODES = 52  # episodes of a path family in a cell of benchmark-v1 and ood-v1
+_VALIDATION_EPISODES = 10  # episodes of a path family in a cell of benchmark-v1-validation
+UNMODELLED_EPISODES = 30  # episodes of a path family in a cell of unmodelled-v1
+SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
+DEEP_EPISODES = 60  # episodes in a cell of deep-v1
+VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
+STRONGER = 1.5  # factor on current and waves in ood-v1
+FARTHER = 1.3  # factor on the ranges of the mismatch about 1 in ood-v1
 
 SWELL = (0.15, 0.45)  # [rad/s] frequencies of waves below the usual band
-_LOSS = (0.6, 0.9)  # share of the commanded force that is left
+_EFFECTIVENESS = (0.6, 0.9)  # actual force as a share of the commanded force
 SLUGGISH = (0.4, 0.7)  # [s] time constants of the actuators
-RAMP = 0.5  # [s] in which sluggish actuators go from zero to the limit
-DELAY = (1.0, 3.0)  # control periods until a command acts
-_SHORT = (0.45, 0.75)  # share of the told limits at which the actuators saturate
-_OUTAGES = 4.0  # [1/min] how often the position fix fails
-_OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] how long an outage of the position fix lasts
+RAMP = 0.5  # [s] time from zero to the limit of sluggish actuators
+DELAY = (1.0, 3.0)  # delay of the commands in control periods
+_SATURATION = (0.45, 0.75)  # force at which the actuators saturate, as a share of their known limits
+_OUTAGES = 4.0  # [1/min] rate of outages of the position fix
+_OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] duration of an outage of the position fix
 SHEAR = (0.1, 0.25)  # amplitude of a sheared current as a share of the path's speed
 _WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
-_TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] how fast a turning current turns
+_TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] turn rate of a turning current
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
-"""Returns a path for a duration [s], or None to let the scenario draw one."""
+"""Returns a path for a duration [s], or None if the scenario draws the path."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """One cell: a scenario, the path families that take turns, and the number of episodes."""
+    """Recipe of a cell: a scenario, the path families in rotation, and the number of episodes."""
 
     scenario: Scenario
     families: tuple[str, ...] = FAMILIES
@@ -88,7 +88,7 @@ def _out_of_distribution() -> list[Recipe]:
 
 
 def _unmodelled() -> list[Recipe]:
-    """Return storms in which something is wrong that no model-based controller has been told of."""
+    """Return storms with sensor, actuator and current effects that the model of the controllers does not have."""
     recipes = []
     for speed_range in SPEED_RANGES:
         storm = PRESETS[f"{speed_range}-storm"]
@@ -101,11 +101,11 @@ def _unmodelled() -> list[Recipe]:
             yaw_rate_bias=(-0.005, 0.005),
         )
         swell = replace(waves, band=SWELL)
-        weak = replace(act, effectiveness=_LOSS)
+        weak = replace(act, effectiveness=_EFFECTIVENESS)
         slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
         patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=_OUTAGE_TIME[speed_range])
         sheared = _sheared(storm, speed_range)
-        broken = replace(act, effectiveness=_LOSS, delay=DELAY)
+        broken = replace(act, effectiveness=_EFFECTIVENESS, delay=DELAY)
         changes: dict[str, dict[str, Any]] = {
             "bias": {"sensors": biased},
             "swell": {"waves": swell},
@@ -113,7 +113,7 @@ def _unmodelled() -> list[Recipe]:
             "sluggish": {"actuators": slow},
             "dropout": {"sensors": patchy},
             "delay": {"actuators": replace(act, delay=DELAY)},
-            "short-limits": {"actuators": replace(act, reach=_SHORT)},
+            "short-limits": {"actuators": replace(act, reach=_SATURATION)},
             "shear": {"current": sheared},
             "everything": {"sensors": biased, "waves": swell, "actuators": broken, "current": sheared},
         }
@@ -123,10 +123,10 @@ def _unmodelled() -> list[Recipe]:
 
 
 def _sealed(**changes: Any) -> list[Recipe]:
-    """Return the worlds of a sealed suite: missions follow waypoints, the others take turns among the families."""
+    """Return the recipes of a sealed suite: missions follow waypoints, the others rotate through the families."""
     return [
-        Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if roams else Recipe.path)
-        for scenario, roams in sealed.sealed_worlds(**changes)
+        Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if mission else Recipe.path)
+        for scenario, mission in sealed.sealed_worlds(**changes)
     ]
 
 
@@ -135,7 +135,7 @@ def _deep() -> list[Recipe]:
 
 
 def _vehicles() -> list[Recipe]:
-    """Return every case with each published vehicle, at its own speeds; in slow motion those that need no fins."""
+    """Return the recipes of all cases for each published vehicle at its own speeds; slow motion only without fins."""
     return [
         Recipe(as_scenario(f"{speed_range}-{case}@{vehicle}"), GENTLE, episodes)
         for speed_range, episodes in VEHICLE_EPISODES.items()
@@ -178,9 +178,9 @@ def _widened(interval: Interval) -> Interval:
 
 
 def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Path:
-    """Return a spline through random waypoints that turns no faster than a figure-eight: 1.75 `turn_rate`.
+    """Return a spline through random waypoints whose turn rate is at most that of a figure-eight: 1.75 `turn_rate`.
 
-    From leg to leg it turns by at most half a radian and changes speed by at most a fifth.
+    From leg to leg the heading changes by at most half a radian, and the speed by at most a fifth.
     """
     assert isinstance(path.speed, tuple)
     speed, leg_time = rng.uniform(*path.speed), 0.8 / path.turn_rate
@@ -209,24 +209,24 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "sealed-v1": (None, lambda: _sealed(**sealed.FIRST)),
     "sealed-v2": (None, _sealed),
 }
-"""Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
-split, never on a test."""
+"""Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
+selects agents on the validation split, never on a test."""
 SHARED = {"benchmark-v2": "benchmark-v1"}
-"""Suites that have the episodes of another one, and anchors of their own."""
+"""Suites with the episodes of another suite and their own anchors."""
 OLDEST = ("benchmark-v1", "benchmark-v1-validation", "ood-v1", "unmodelled-v1")
-"""Suites whose 1 is the oracle's; that of the others is the bound's."""
+"""Suites in which the oracle scores 1; in the others it is the full-information optimum."""
 
 
 def anchors_of(name: str) -> Anchors:
-    """Return the anchors of a suite that is to be made."""
+    """Return the anchors of a new suite."""
     return BY_ORACLE if name in OLDEST else BY_BOUND
 
 
 def build(name: str) -> list[Cell]:
-    """Return the cells of a suite, drawn anew: the same wherever the random streams are.
+    """Return the cells of a suite, drawn from its seed; they are the same with the same random streams of NumPy.
 
     Raises:
-        SuiteError: it is sealed.
+        SuiteError: the suite is sealed.
     """
     known, recipes = BUILDERS[name]
     seed = sealed.seed(name) if known is None else known
@@ -234,14 +234,15 @@ def build(name: str) -> list[Cell]:
 
 
 def _cell(recipe: Recipe, seed: int, index: int) -> Cell:
+    """Return a cell; the order of the families depends on its index, so the first paths of the cells differ."""
     families = recipe.families[index % len(recipe.families) :] + recipe.families[: index % len(recipe.families)]
-    turned = replace(recipe, families=families)  # so that the first episodes of the cells differ in their paths
-    episodes = [_episode(turned, i, np.random.default_rng([seed, index, i])) for i in range(recipe.episodes)]
+    rotated = replace(recipe, families=families)
+    episodes = [_episode(rotated, i, np.random.default_rng([seed, index, i])) for i in range(recipe.episodes)]
     return Cell(recipe.scenario, tuple(episodes))
 
 
 def _episode(recipe: Recipe, i: int, rng: np.random.Generator) -> Episode:
-    """Return episode i, drawn again where the path cannot be followed."""
+    """Return episode i; it is drawn again while its path is infeasible."""
     scenario, act = recipe.scenario, recipe.scenario.actuators
     assert isinstance(scenario.path, RandomPath)
     family = recipe.families[i % len(recipe.families)]

@@ -1,4 +1,4 @@
-"""Build, check, seal, open, measure, record and verify the frozen suites: `python -m research suites --help`."""
+"""Build, seal, open, check, record and verify the frozen suites: `python -m research suites --help`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PROGRAM = "python -m research suites"
 
 @dataclass(frozen=True)
 class Options:
-    """Build frozen suites, check their episodes, record what policies do in them, or verify that they still do it.
+    """Build frozen suites, check their episodes, record results of policies, or verify recorded results.
 
     Exit status: 0 done, 1 a suite is damaged, episodes or rows differ, or a policy failed, 2 wrong usage.
     """
@@ -36,34 +36,34 @@ class Options:
         Positional[Literal["build", "check", "seal", "open", "anchor-errors", "record", "verify"]],
         arg(metavar="ACTION"),
     ]
-    """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
-    secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
-    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen.
-    anchor-errors: measure what the anchors do, for the scores of validations. record: keep the policies' results.
-    verify: run what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
+    """build: replace the file and the hash of a suite. check: compare the generated inputs of every episode with their
+    digests. seal: draw the secret of a suite, keep its hash and print the secret once. open: check a secret against the
+    hash, publish it and build the suite, after all policies are frozen. anchor-errors: measure the anchors for the
+    scores of validations. record: run policies and keep their results. verify: run recorded policies again and compare
+    every number with the recorded one, to the last recorded bit."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
-    """The suites; check and verify take all without any."""
+    """Names of suites. Default of check and verify: all."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Policies to record or verify; without any, all that have a name, or that are recorded."""
+    """Policies to record or verify. Default: all named policies, or all recorded ones."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Record the first episodes of each cell only, for a policy that is too slow for all."""
+    """Record only the first episodes of each cell, for a slow policy."""
     cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
-    """Verify in the cells of these scenarios only. Whole cells: a few of the episodes give other last bits."""
+    """Verify only the cells of these scenarios. Cells run whole, since parts of a cell differ in the last bits."""
     secret: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="")] = None
-    """The secret to open a suite with."""
+    """The secret, to open a suite."""
     stamp: bool = False
-    """Write down for the policies whose rows are equal that these are what they give now, so that they count again."""
+    """Renew the fingerprints of policies whose rows are equal, so that the rows are valid again."""
     step_limit: float = STEP_LIMIT
-    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    """Largest mean time of a decision [s]; slower policies fail."""
     jobs: int = 1
-    """Worker processes. With one the time per decision is that of an idle processor."""
+    """Worker processes. With one process the time of a decision is that of an idle processor."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Do as the arguments say and return the exit status.
+    """Run an action and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("suite", options.name, (*BUILDERS, *SHARED))
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
     if (options.secret is None) == (options.action == "open"):
-        raise UsageError("open needs --secret WORDS, what seal has printed; no other action takes it")
+        raise UsageError("open needs --secret WORDS, as seal has printed it; no other action takes it")
     actions = {
         "build": _build,
         "check": _check,
@@ -92,7 +92,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _all() -> list[str]:
-    """Return the suites that are meant where none is named; episodes that two have are looked at once."""
+    """Return the suites with their own episodes: the default of check and verify."""
     return [name for name in suites.list_suites() if name not in SHARED]
 
 
@@ -110,7 +110,7 @@ def _seal(name: str, _: Options) -> int:
     _check_sealed(name)
     secret = secrets.token_urlsafe(24)
     sealed.write_seal(name, sealed.Seal(sealed.sha256(secret)))
-    print(f"the secret of {name}, which is kept nowhere: {secret}")
+    print(f"the secret of {name}, which is not stored anywhere: {secret}")
     return DONE
 
 
@@ -123,9 +123,9 @@ def _open(name: str, options: Options) -> int:
 
 
 def _check_sealed(name: str) -> None:
-    """Raise UsageError if a suite is none that is sealed."""
+    """Raise UsageError if a suite has no secret."""
     if name in SHARED or BUILDERS[name][0] is not None:
-        raise UsageError(f"{name} is not a suite that is sealed")
+        raise UsageError(f"{name} is not a sealed suite")
 
 
 def _check(name: str, _: Options) -> int:
@@ -133,7 +133,7 @@ def _check(name: str, _: Options) -> int:
     for cell, digests in zip(suite.cells, suite.digests, strict=True):
         suites.check_cell(cell, digests)
     episodes = sum(len(cell.episodes) for cell in suite.cells)
-    print(f"{suite.hash}  {suite.name}: {len(suite.cells)} cells, {episodes} episodes, all as they were")
+    print(f"{suite.hash}  {suite.name}: {len(suite.cells)} cells, {episodes} episodes, all unchanged")
     return DONE
 
 
@@ -143,7 +143,7 @@ def _measure(name: str, _: Options) -> int:
 
 
 def _record(name: str, options: Options) -> int:
-    """Record policy by policy, so that an interruption costs one of them."""
+    """Record policy by policy, so that an interruption loses the results of one policy only."""
     suite, status = suites.load_suite(name), DONE
     for policy in options.policy or tuple(list_policies()):
         speed_ranges = recorded.speed_ranges_of(policy)
@@ -159,7 +159,7 @@ def _record(name: str, options: Options) -> int:
 
 
 def _verify(name: str, options: Options) -> int:
-    """Verify policy by policy, and say of each whether its rows are the same."""
+    """Verify policy by policy and print for each whether its rows are equal."""
     suite, status = suites.load_suite(name), DONE
     if note := recorded.missing(name):
         print(f"note: {note}", flush=True)
@@ -183,5 +183,5 @@ def _verify(name: str, options: Options) -> int:
 
 
 def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
-    """Return a policy's runs, and show on stderr how far they are."""
+    """Return the runs of a policy and show their progress on stderr."""
     return run_and_show([(policy, cell) for cell in cells], Workers(options.jobs), options.step_limit)

@@ -1,8 +1,8 @@
-"""Deep worlds: sensors as under water, where no controller knows its position better than its navigation does.
+"""Scenarios with navigation as under water: rare and inaccurate position fixes, and dead reckoning between them.
 
-A fix comes every 10 to 30 s and is wrong by metres; between fixes the position is reckoned from a Doppler log and a
-gyro. One set of instruments serves both regimes, so the slow one has the same errors in a second and larger ones in a
-metre.
+A fix comes every 10 to 30 s with an error of metres. Between fixes the position is estimated by dead reckoning from a
+Doppler log and a gyro. Both speed ranges have the same instruments, so the errors in slow motion are the same per
+second and larger per metre.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from baselines.evaluation.metrics import steady_rmse
 from baselines.evaluation.runner import Cell
 
 _CASES = {"deep": "calm", "deep-current": "current", "deep-storm": "storm"}
-"""What the worlds are called, and the case of the presets that each is."""
-MISSION = {"slow": 300.0, "cruise": 240.0}  # [s] with 15 and 12 fixes on average
+"""Names of the scenarios and the cases of the presets that they are based on."""
+MISSION = {"slow": 300.0, "cruise": 240.0}  # [s] duration, with 15 and 12 fixes on average
 INSTRUMENTS = Sensors(
     position=1.5,  # [m] of a fix
     heading=0.002,  # [rad]
@@ -35,13 +35,13 @@ INSTRUMENTS = Sensors(
     velocity_bias=(-0.005, 0.005),  # [m/s]
     reckoning=RandomReckoning(),
 )
-"""The Doppler log and the gyro are those of `RandomReckoning`'s sources, bias and alignment included."""
-OUTAGES = 0.5  # [1/min] how often the fixes fail in a storm
-OUTAGE_TIME = (20.0, 60.0)  # [s] for how long
+"""The Doppler log and the gyro of the sources that `RandomReckoning` names, with their biases and alignment."""
+OUTAGES = 0.5  # [1/min] rate of outages of the fixes in a storm
+OUTAGE_TIME = (20.0, 60.0)  # [s] duration of an outage
 
 
 def deep_worlds() -> list[Scenario]:
-    """Return the scenarios of a deep suite: calm water, a current, and storms in which fixes fail."""
+    """Return the scenarios of deep-v1: calm water, a current, and storms with outages of the fixes."""
     found = []
     for speed_range in SPEED_RANGES:
         for name, case in _CASES.items():
@@ -60,10 +60,10 @@ def deep_worlds() -> list[Scenario]:
 
 
 def navigation_errors(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
-    """Return how far estimated and true position are apart [m] on the reference, shape (K + 1, N).
+    """Return the distance [m] between estimated and true position on the reference, shape (K + 1, N).
 
-    It is the error of a controller without an error of its own, which keeps the estimated position on the reference;
-    for a scenario with a dead reckoning.
+    This is the error of an ideal controller that keeps the estimated position on the reference. The scenario must have
+    dead reckoning.
 
     Raises:
         InfeasibleReferenceError: an episode's path cannot be followed.
@@ -81,5 +81,5 @@ def navigation_errors(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
 
 
 def navigation_rmses(cell: Cell) -> Array:
-    """Return the tail RMSE [m] of such a controller in the episodes of a cell, shape (M,)."""
+    """Return the steady-state RMSE [m] of the `navigation_errors` in the episodes of a cell, shape (M,)."""
     return steady_rmse(navigation_errors(cell.scenario, cell.episodes)[1:])

@@ -1,4 +1,4 @@
-"""Whether policies still give the numbers that are recorded of them, to the last bit that is kept."""
+"""Compare recorded results of policies with those of a new run, to the last recorded bit."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from baselines.evaluation.suites import Suite
 
 @dataclass(frozen=True)
 class PolicyVerdict:
-    """How the rows of one policy in one cell compare with those of another time."""
+    """Comparison of the recorded and the new rows of one policy in one cell."""
 
     scenario: str
-    numbers: int  # that were compared
-    differing: int
-    largest: float = 0.0  # relative difference
-    where: str = ""  # the measure and the episode of the largest
+    numbers: int  # number of compared values
+    differing: int  # number of different values
+    largest: float = 0.0  # largest relative difference
+    where: str = ""  # measure and episode of the largest difference
 
     @classmethod
     def of(cls, recorded: Run, again: Run) -> PolicyVerdict:
-        """Compare two runs of the same episodes as files hold them, see `recorded.stored_measures`.
+        """Return the comparison of two runs of the same episodes, as files hold them, see `recorded.stored_measures`.
 
         Raises:
             ValueError: the policy failed.
@@ -48,10 +48,10 @@ class PolicyVerdict:
 
 
 def cells_to_run(suite: Suite, recorded: Sequence[Run], names: Sequence[str]) -> list[Cell]:
-    """Return the episodes that rows are recorded of, in the cells of these names or, without any, in all.
+    """Return the recorded episodes of the cells with these names, by default of all cells.
 
-    A cell's episodes are run together as they were recorded: a few of them give other last bits, since matrices are
-    multiplied in other batches.
+    All recorded episodes of a cell run together: batches of another size differ in the last bits, since matrices are
+    multiplied in another order.
     """
     lengths = {run.scenario.name: len(run.measures or ()) for run in recorded}
     chosen = [cell for cell in suite.cells if cell.scenario.name in lengths]
@@ -61,7 +61,7 @@ def cells_to_run(suite: Suite, recorded: Sequence[Run], names: Sequence[str]) ->
 
 
 def verdict_line(policy: str, verdicts: Sequence[PolicyVerdict]) -> str:
-    """Return a line about a policy."""
+    """Return a line about the comparison of a policy in several cells."""
     numbers, differing = (sum(getattr(v, key) for v in verdicts) for key in ("numbers", "differing"))
     if not differing:
         return f"equal      {policy}: {numbers} numbers of {len(verdicts)} cells"

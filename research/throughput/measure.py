@@ -1,4 +1,4 @@
-"""Measure how fast the environments are: `python -m research throughput --help`."""
+"""Measure the speed of the environments: `python -m research throughput --help`."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 
 PROGRAM = "python -m research throughput"
-THROUGHPUT_FILE = DATA / "throughput.json"  # what was measured
-SCENARIO = "cruise-storm"  # every disturbance at once
-EPISODE = PRESETS[SCENARIO].steps  # control steps of an episode
+THROUGHPUT_FILE = DATA / "throughput.json"  # record of the measurements
+SCENARIO = "cruise-storm"  # all disturbances together
+EPISODE = PRESETS[SCENARIO].steps  # number of control steps of an episode
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 PEER = "Pendulum-v1"
-PEER_EPISODE = 200  # steps of an episode of the peer
+PEER_EPISODE = 200  # number of steps of an episode of `PEER`
 DECISIONS = ("backstepping", "ekf", "nmpc", "apg-cruise", "helm")
 """Policies whose decisions are timed."""
-_UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # of times, and how many of each make a second
+_UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # units of time, and the number of each in a second
 Run = Callable[[], Sequence[float]]
-"""Does some work and returns the processor time [s] a unit of each piece of it."""
+"""Function that does some work and returns the processor time [s] per unit, of each part of the work."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Figure:
 
     case: str
     value: float
-    unit: str  # "x": how many times as many steps a second as a peer; "s": seconds
-    goal: float | None = None  # at least that many times, at most that many seconds
+    unit: str  # "x": steps per second relative to those of a peer; "s": seconds
+    goal: float | None = None  # lower limit if the unit is "x", upper limit if it is "s"
 
     @property
     def row(self) -> tuple[str, str, str, str]:
-        """What it is, its value, its goal, and whether that is met."""
+        """Name, value, goal, and whether the goal is met."""
         if self.goal is None:
             return self.case, written(self.value, self.unit), "", ""
         met = self.value >= self.goal if self.unit == "x" else self.value <= self.goal
@@ -61,19 +61,19 @@ class Figure:
 
 @dataclass(frozen=True)
 class Options:
-    """Measure how fast the environments are beside Gymnasium's Pendulum; print it, and keep it for docs/speed.md.
+    """Measure the speed of the environments relative to Gymnasium's Pendulum; print and record the results.
 
-    `python -m research pages speed` then writes the page. Exit status: 0 done, 2 wrong usage.
+    Afterwards `python -m research pages speed` writes docs/speed.md. Exit status: 0 done, 2 wrong usage.
     """
 
     quick: bool = False
-    """Fewer and shorter rounds, of which nothing is kept: whether all of it still runs, not how fast."""
+    """Run few and short rounds and record nothing, to test that the measurement works."""
     out: Path = THROUGHPUT_FILE
-    """The file of what was measured."""
+    """File for the results."""
 
 
 def written(value: float, unit: str) -> str:
-    """Return a number with its unit, seconds in a handy multiple."""
+    """Return the text of a number with its unit; seconds are converted to a suitable unit."""
     if unit == "x":
         return f"{value:.3g} x"
     name, factor = next(((n, f) for n, f in _UNITS if value * f >= 1), _UNITS[-1])
@@ -81,19 +81,22 @@ def written(value: float, unit: str) -> str:
 
 
 def cpu_time() -> float:
-    """Return the processor time [s] of this process and its children: other users of the machine count little in it."""
+    """Return the processor time [s] of this process and its children; other processes hardly change it."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def interleaved(rounds: int, *runs: Run) -> list[Any]:
-    """Return the times [s] of runs that take turns, shape (rounds, pieces) each: a busy machine slows all alike."""
+    """Return the times [s] of runs, shape (rounds, parts) each.
+
+    The runs alternate, so that a busy machine slows all of them equally.
+    """
     times = [[run() for run in runs] for _ in range(rounds)]
     return [np.array(own) for own in zip(*times, strict=True)]
 
 
 def timed(work: Callable[[], object], units: int = 1) -> Run:
-    """Return the run that does some work of so many units in one piece."""
+    """Return a run that does some work, of `units` units, in one part."""
 
     def run() -> Sequence[float]:
         begin = cpu_time()
@@ -104,14 +107,14 @@ def timed(work: Callable[[], object], units: int = 1) -> Run:
 
 
 def faster(case: str, ours: Any, peer: Any, goal: float) -> Figure:
-    """Return how many times as many steps a second as a peer's, for times (rounds, pieces) of both."""
+    """Return the ratio of steps per second, ours over the peer's, from the times (rounds, parts) of both."""
     return Figure(case, float(np.median(peer.mean(axis=1)) / np.median(ours.mean(axis=1))), "x", goal)
 
 
 def scalar_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> Run:
-    """Return an episode of so many steps under zero actions, with or without the time of the reset before it."""
+    """Return the run of an episode with zero actions, with or without the time of the reset."""
     env = gym.make(env_id, **options)
-    still = np.zeros(env.action_space.shape or (), dtype=env.action_space.dtype)
+    zero = np.zeros(env.action_space.shape or (), dtype=env.action_space.dtype)
     env.reset(seed=0)
 
     def run() -> Sequence[float]:
@@ -121,7 +124,7 @@ def scalar_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> Run:
         done = 0
         while done < steps:
             done += 1
-            if env.step(still)[2]:
+            if env.step(zero)[2]:
                 break
         return [(cpu_time() - begin) / done]
 
@@ -129,15 +132,15 @@ def scalar_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> Run:
 
 
 def vector_run(env: Any, steps: int, *, staggered: bool = False) -> Run:
-    """Return steps of a vector environment under zero actions, a piece each, per vehicle.
+    """Return the run of steps of a vector environment with zero actions; each step is a part, each vehicle a unit.
 
-    Episodes that end are followed by the next ones: all at once, or `staggered` one after the other.
+    Episodes end at the same time, or one after the other if `staggered`.
     """
-    n, still = env.num_envs, np.zeros_like(env.action_space.sample())
+    n, zero = env.num_envs, np.zeros_like(env.action_space.sample())
     env.reset(seed=0)
     phase = np.arange(n) * EPISODE // n
     for k in range(EPISODE if staggered else 0):
-        env.step(still)
+        env.step(zero)
         if (phase == k).any():
             env.reset(options={"reset_mask": phase == k})
 
@@ -145,7 +148,7 @@ def vector_run(env: Any, steps: int, *, staggered: bool = False) -> Run:
         times = []
         for _ in range(steps):
             begin = cpu_time()
-            env.step(still)
+            env.step(zero)
             times.append((cpu_time() - begin) / n)
         return times
 
@@ -153,7 +156,7 @@ def vector_run(env: Any, steps: int, *, staggered: bool = False) -> Run:
 
 
 def process(code: str, *, cold: bool = False) -> Run:
-    """Return the run of some Python in a process of its own, `cold` with nothing compiled before."""
+    """Return the run of Python code in a new process; `cold`: without compiled files on the machine."""
 
     def work() -> None:
         with tempfile.TemporaryDirectory() as empty:
@@ -164,7 +167,7 @@ def process(code: str, *, cold: bool = False) -> Run:
 
 
 def scalar_figures(quick: bool) -> Iterator[Figure]:
-    """The scalar environment against Pendulum, and the begin of an episode."""
+    """Measure the scalar environment relative to Pendulum, and the start of an episode."""
     rounds = 1 if quick else 25
     own = {"scenario": SCENARIO}
     alone, peer, with_resets, peer_with_resets = interleaved(
@@ -180,7 +183,7 @@ def scalar_figures(quick: bool) -> Iterator[Figure]:
     env.reset(seed=0)
     vector.reset(seed=0)
     eleven = {"reset_mask": np.arange(64) < 11}
-    times = 20  # in a row
+    times = 20  # repetitions in one part
     single, several = interleaved(
         rounds,
         timed(lambda: [env.reset() for _ in range(times)], times),
@@ -191,12 +194,12 @@ def scalar_figures(quick: bool) -> Iterator[Figure]:
 
 
 def vector_env(env_id: str, n: int) -> Any:
-    """Return a vector environment of N vehicles on NumPy."""
+    """Return a NumPy vector environment of N vehicles."""
     return gym.make_vec(env_id, n, "vector_entry_point", scenario=SCENARIO)
 
 
 def vector_figures(quick: bool) -> Iterator[Figure]:
-    """The vector environment against SyncVectorEnv: whole episodes, staggered ends, and steps in which none ends."""
+    """Measure the vector environment relative to SyncVectorEnv: episodes, staggered ends, and steps without an end."""
     for n, whole, staggered, between in ((64, 18.0, 10.0, None), (1024, 30.0, 15.0, 50.0))[: 1 if quick else None]:
         ours, ours_staggered, peer = interleaved(
             1 if quick else 5,
@@ -212,7 +215,7 @@ def vector_figures(quick: bool) -> Iterator[Figure]:
 
 
 def first_figures(quick: bool) -> Iterator[Figure]:
-    """What a process pays for the first environment, with and without a compiled one on the machine."""
+    """Measure the first environment of a process, with and without compiled files on the machine."""
     code = "import gymnasium as gym; env = gym.make({!r}, scenario={!r})"
     used = f"{code}; env.reset(seed=0); env.step([0.0, 0.0])"
     plain, residual, warm = interleaved(
@@ -227,7 +230,7 @@ def first_figures(quick: bool) -> Iterator[Figure]:
 
 
 def decision_figures(quick: bool) -> Iterator[Figure]:
-    """One decision of one vehicle in closed loop; the first five are left out."""
+    """Measure a decision for one vehicle in closed loop, without the first five."""
 
     def run_of(name: str) -> Run:
         policy = make_policy(name)
@@ -249,11 +252,11 @@ def decision_figures(quick: bool) -> Iterator[Figure]:
 
 
 MEASURED = (scalar_figures, vector_figures, first_figures, decision_figures)
-"""What is measured, in this order."""
+"""The measurements, in this order."""
 
 
 def machine() -> str:
-    """Return what it is measured on."""
+    """Return the description of the machine."""
     compiler = native.compiler() if native.wanted() else None
     code = compiler[1].splitlines()[0] if compiler else "no compiler"
     processor = platform.processor() or platform.machine()
@@ -261,10 +264,10 @@ def machine() -> str:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure as the arguments say and return the exit status.
+    """Run the measurements and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options, figures = parse(Options, arguments, PROGRAM), []
     warnings.filterwarnings("ignore", module="gymnasium")
@@ -281,7 +284,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def context(page: str) -> dict[str, Any]:
-    """Return machine, scenario and the rows of the table for docs/speed.md."""
+    """Return the values of the template of docs/speed.md: machine, scenario and the rows of the table."""
     del page
     record = read_json(THROUGHPUT_FILE)
     return {

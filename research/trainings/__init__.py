@@ -1,1 +1,1 @@
-"""Trainings of the shipped agents and studies of what makes agents better."""
+"""Trainings of the shipped agents, and studies that compare trainings."""

@@ -1,10 +1,10 @@
 """Compute the gains of the agents' filters from a Riccati equation: `python -m research filter-gains`.
 
-About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w, and y = H z + n is
-what is measured; w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:
-P = A P A^T + Q - A P H^T (H P H^T + R)^-1 H P A^T, and the gain is K = P H^T (H P H^T + R)^-1. Each entry of K, found
-at `_SPEEDS`, is kept as a polynomial in `filters.speed_share`, one for each regime: sensors and period are others
-there.
+The model is linearised about straight motion at a speed U, in body axes. One step is z' = A z + w, and the measurement
+is y = H z + n. The covariances of w and n are Q and R. The covariance P of the prediction error converges to the
+solution of P = A P A^T + Q - A P H^T (H P H^T + R)^-1 H P A^T. The gain is K = P H^T (H P H^T + R)^-1. It is computed
+at `_SPEEDS`, and each entry is fitted by a polynomial in `filters.speed_share`. The two speed ranges have their own
+polynomials, because their sensors and control periods differ.
 """
 
 from __future__ import annotations
@@ -36,46 +36,48 @@ from baselines.policy import CRUISE_SPEED
 from baselines.tools.files import write_atomically
 
 _SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 2.0)}
-"""Speeds [m/s] at which the Riccati equation is solved, by the regime whose sensors and period count."""
-DEGREE = 3  # of the polynomials
+"""Speeds [m/s] at which the Riccati equation is solved, by speed range."""
+DEGREE = 3  # degree of the polynomials
 TUNINGS = (
     Tuning(0.0045, 0.004, 0.014, 0.2, 0.1, 0.4, 0.23, 0.45, 0.15, 1.0),
     Tuning(0.00005, 0.00006, 0.00008, 0.0008, 0.0005, 0.0015, 0.00015, 0.00015, 0.00015, 1.0),
 )
-"""What is believed to change, in a rough and a calm sea; of the size that searches for `nmpc`'s filter have found."""
+"""Process noise in a rough and in a calm sea, similar to that of the tuned filter of `nmpc`."""
 FORCE_NOISE = 0.02
-"""Drift of the actuators' forces after one second, as a share of their limits: nobody is told their lag."""
-_STEP = 1e-6  # half width of the central differences of the model, SI units
+"""Standard deviation of the actuator forces after one second, relative to their limits; their lag is unknown."""
+_STEP = 1e-6  # step of the central differences of the model, SI units
 
 
 def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[Array, Array, float]:
-    """Return A (22, 22), H (6, 22) about straight motion at a speed [m/s], and the control period [s] there."""
+    """Return A (22, 22) and H (6, 22) about straight motion at a speed [m/s], and the control period [s]."""
     dt = storm_at(speed).control_dt
-    level = np.zeros(STATE_SIZE)
-    level[PLACE.u], level[PLACE.lag] = speed, lag
+    steady = np.zeros(STATE_SIZE)
+    steady[PLACE.u], steady[PLACE.lag] = speed, lag
     F_u = (vehicle.d11 + vehicle.X_uu * speed) * speed
-    level[PLACE.F_u] = F_u
+    steady[PLACE.F_u] = F_u
 
-    def after(z: Array) -> Any:
+    def predicted(z: Array) -> Any:
         return transition(Estimate(*z.tolist()), (F_u, 0.0), (0.0, 0.0), dt, vehicle.coefficients, FLOATS)
 
-    def shown(z: Array) -> Any:
+    def measured(z: Array) -> Any:
         return measurement(Estimate(*z.tolist()), FLOATS)
 
-    moves = _STEP * np.eye(STATE_SIZE)
-    A, H = (np.array([np.subtract(f(level + d), f(level - d)) / (2 * _STEP) for d in moves]).T for f in (after, shown))
+    A, H = (
+        np.array([np.subtract(f(steady + d), f(steady - d)) / (2 * _STEP) for d in _STEP * np.eye(STATE_SIZE)]).T
+        for f in (predicted, measured)
+    )
     return A, H, dt
 
 
 def storm_at(speed: float) -> Scenario:
-    """Return the storm of the regime that a speed [m/s] belongs to."""
+    """Return the preset `storm` of the speed range that contains a speed [m/s]."""
     return PRESETS["cruise-storm" if speed > CRUISE_SPEED else "slow-storm"]
 
 
 def problem(
     speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE
 ) -> tuple[Array, Array, Array, Array]:
-    """Return A, Q (21, 21), H (6, 21) and R (6, 6) of the Riccati equation at a speed [m/s], without the lag's row."""
+    """Return A (21, 21), H (6, 21), Q (21, 21), R (6, 6) of the Riccati equation at a speed [m/s], without the lag."""
     A, H, dt = model(speed, lag, vehicle)
     storm = storm_at(speed)
     act, kept = storm.actuators, [i for i in range(STATE_SIZE) if i != PLACE.lag]
@@ -89,14 +91,14 @@ def problem(
 
 
 def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE) -> Array:
-    """Return the gain K (22, 6) of the steady filter at a speed [m/s], in SI units; the lag's row is zero."""
+    """Return the steady-state gain K (22, 6) at a speed [m/s], in SI units. The row of the lag is zero."""
     A, H, Q, R = problem(speed, lag, tuning, vehicle)
     P = solve_discrete_are(A.T, H.T, Q, R)
     return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, PLACE.lag, 0.0, axis=0)
 
 
 def _table(speed_range: str, tuning: Tuning, lag: float) -> dict[str, Any]:
-    """Return the polynomials of a filter's gains in a regime, as `filters.gains` reads them."""
+    """Return the polynomials of the gains of a filter in a speed range, in the format of `filters.gains`."""
     speeds = _SPEEDS[speed_range]
     K = np.array([gain(speed, lag, tuning) for speed in speeds])
     powers = np.vander([speed_share(U) for U in speeds], DEGREE + 1, increasing=True)
@@ -108,18 +110,18 @@ def _table(speed_range: str, tuning: Tuning, lag: float) -> dict[str, Any]:
 
 
 def _at(name: str) -> int:
-    """Return where an entry of an `Estimate` stands; the measured six stand in the same places."""
+    """Return the index of an entry of an `Estimate`. The six measured entries have the same indices."""
     return Estimate._fields.index(name)
 
 
 def text() -> str:
-    """Return the table of all filters as its file has it."""
+    """Return the text of the file with the gains of all filters."""
     known = list(zip(TUNINGS, LAGS, strict=True))
     record = {speed_range: [_table(speed_range, *own) for own in known] for speed_range in SPEED_RANGES}
     return json.dumps(record) + "\n"
 
 
 def main(_: Sequence[str]) -> int:
-    """Write the table and return the exit status."""
+    """Write the file of the gains and return the exit status."""
     write_atomically(FILTER_GAINS, text().encode())
     return 0

@@ -1,8 +1,8 @@
-"""What fine-tuning to a vehicle is worth: `python -m research fine-tuning --help`.
+"""Compare fine-tuning to a vehicle with training from the start: `python -m research fine-tuning --help`.
 
-For each vehicle an agent is tuned as by `auv-gym train --from AGENT --vehicle VEHICLE`, and another one is trained for
-the vehicle alone. Both run the same held-out episodes of the cruise cases as the original agent, the expert and
-predictive control. All of them are given the vehicle model. docs/fine-tuning.md has the results.
+For each vehicle one agent is fine-tuned as by `auv-gym train --from AGENT --vehicle VEHICLE`, and another one is
+trained from the start for this vehicle alone. Both run the same held-out episodes of the cruise cases as the original
+agent, the expert and predictive control. All policies are given the vehicle model. docs/fine-tuning.md has the results.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research fine-tuning"
 _GOAL = 1.05
-"""What the error of a tuned agent may be at most, over that of one trained alone."""
+"""Largest error of a tuned agent that meets the goal, relative to the agent trained for the vehicle alone."""
 _VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
 """The vehicles of the study."""
-_TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
-ALONE = "alone"  # the one that begins with nothing
-FINE_TUNING_FILE = "fine-tuning.json"  # of what was measured, in docs/
+_TUNED = "tuned"  # agent that is fine-tuned to a vehicle
+ALONE = "alone"  # agent that is trained from the start for a vehicle
+FINE_TUNING_FILE = "fine-tuning.json"  # record of the results, in docs/
 SHARED = ("hull",)
-"""Hyper-parameters of an agent that are also used where a vehicle's agent is trained from the start: not its rates."""
+"""Hyper-parameters of the agent that the training from the start takes over; the learning rates are not among them."""
 LENGTH = 12_000_000
-"""Control steps of the training for a vehicle alone."""
+"""Control steps of the training from the start."""
 PIECES = 6
-"""How often it is validated: it goes on from there when it is interrupted."""
+"""Number of validations; an interrupted training resumes at the last one."""
 SAYS = {
     EXPERT: "the expert",
     RIVAL: "predictive control",
@@ -68,48 +68,49 @@ SAYS = {
     _TUNED: "tuned to the vehicle",
     ALONE: "trained for it alone",
 }
-"""Their names in the table."""
+"""Names of the policies in the table; "" is the original agent."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Tune an agent to vehicles, train one for each alone, and compare them on held-out episodes.
+    """Fine-tune an agent to vehicles, train one from the start for each, and compare them on held-out episodes.
 
-    Rows in the file are not measured again, except those of the agent and of what was tuned from it when its weights
-    have changed. Interrupted trainings continue.
+    Rows in the file are not measured again. If the weights of the agent have changed, the rows of the agent and of
+    the agents tuned from it are. Interrupted trainings continue.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
     vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = _VEHICLES
-    """Published vehicles by name."""
+    """Names of published vehicles."""
     agent: str = "helm-any"
-    """The agent that is tuned, one that ships with the package."""
+    """Shipped agent that is fine-tuned."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Who is measured: "tuned", "alone", or policies by name. Default: these two, the agent, the expert and nmpc."""
+    """Policies to measure: "tuned", "alone", or names. Default: these two, the agent, the expert and nmpc."""
     episodes: int = 32
-    """Episodes of each case."""
+    """Number of episodes of each case."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Control steps of each training, to try it out."""
+    """Control steps of each training, for a trial run."""
     runs: Path = Path("runs/fine-tuning")
     """Folder for the trainings."""
     out: Path = DOCS / FINE_TUNING_FILE
-    """File for what is measured."""
+    """File for the results."""
 
 
 def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
-    """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
+    """Return the two trainings for a vehicle: the fine-tuning of an agent, and the training from the start.
 
-    That is the agent's own, or that of the agent which it began with, with `SHARED` of the agent's own, `LENGTH` and
-    `PIECES`, in one group.
+    The training from the start is that of the agent, in one worker group, with `PIECES` validations. If the agent was
+    itself trained further from another agent, it is the training of that other agent, with the values `SHARED` of this
+    one.
 
     Args:
         agent: one of `trainings.SHIPPED_TRAININGS`.
-        vehicle: its name.
-        timesteps: of both, None: what `train.py --from` takes, and `LENGTH`.
+        vehicle: name of the vehicle.
+        timesteps: control steps of both trainings; None: the default of `train.py --from`, and `LENGTH`.
     """
     own = SHIPPED_TRAININGS[agent]
-    first = SHIPPED_TRAININGS.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
+    first = SHIPPED_TRAININGS.get(own.from_ or "", own)  # the learning rates of `own` are for fine-tuning
     shared = {name: value for name, value in changes_of(own.set).items() if own.from_ and name in SHARED}
     words = hyperparameter_words({**changes_of(first.set), **shared, "groups": 1, "validations": PIECES})
     return {
@@ -119,7 +120,7 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
 
 
 def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) -> list[str]:
-    """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
+    """Return the settings that define one of the two `trainings`, as words NAME=VALUE."""
     if name == ALONE:
         own = trainings(agent, vehicle, timesteps)[ALONE]
         return [*own.set, *hyperparameter_words({"timesteps": own.timesteps})]
@@ -131,8 +132,8 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
     """Return the errors of a policy in the cruise cases of a vehicle.
 
     Returns:
-        `steady_rmses`, the steady-state errors in metres of the paper's vehicle, those of failures at the error
-        cap; `failed`, the number of failures.
+        `steady_rmses`: for each case the steady-state errors, in metres of the paper's vehicle, at most the error cap;
+        `failed`: for each case the number of failures.
     """
     steady_rmses, failed = [], []
     for case in CASES:
@@ -146,10 +147,10 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train and measure as the arguments say and return the exit status.
+    """Train the agents, measure the errors, record them, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("vehicle", options.vehicle, vehicle_names())
@@ -178,19 +179,19 @@ def shipped_digest(agent: str) -> str:
     """Return the SHA-256 of the weights of an agent that ships.
 
     Raises:
-        OSError: they cannot be read.
-        UsageError: it is not here.
+        OSError: the weights cannot be read.
+        UsageError: the agent is not installed.
     """
     if (folder := agent_folder(agent)) is None:
-        raise UsageError(f"--agent {agent} is not here: python -m research train-all {agent} --install trains it")
+        raise UsageError(f"--agent {agent} is not installed: python -m research train-all {agent} --install trains it")
     return weights_digest(folder)
 
 
 def still_valid(options: Options, weights: str) -> dict[str, Any]:
-    """Return the record of a file with what still counts in it.
+    """Return the record of a file, without the rows that are out of date.
 
-    That is nothing of another agent or of other episodes; of an agent with other weights all but the rows of the agent
-    itself and of what was tuned from it; and nothing that was trained by another `recipe`.
+    If the agent or the number of episodes differs, no row stays. If the weights of the agent have changed, its own rows
+    and those of the agents tuned from it go. Rows of a training whose `recipe` has changed go.
     """
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
@@ -207,17 +208,18 @@ def still_valid(options: Options, weights: str) -> dict[str, Any]:
 
 
 def _compared(agent: str) -> tuple[str, ...]:
-    """Return who is compared where an agent is tuned, in the order of the table."""
+    """Return the policies of a comparison, in the order of the table."""
     return EXPERT, RIVAL, agent, _TUNED, ALONE
 
 
 def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
-    """Return what one of them does, once it is trained; only a status where that has failed."""
+    """Return the row of a policy, which is trained first if necessary; {"status": ...} if its training failed."""
     if name not in (_TUNED, ALONE):
         return errors(name, vehicle, options.episodes)
-    of = f"{name}-{weights[:8]}" if name == _TUNED else name  # no run is gone on with that began with other weights
-    folder, begin = options.runs / f"{vehicle}-{of}", time.monotonic()
-    there = folder.exists()
+    # A fine-tuning that started from other weights must not be resumed.
+    run_name = f"{name}-{weights[:8]}" if name == _TUNED else name
+    folder, begin = options.runs / f"{vehicle}-{run_name}", time.monotonic()
+    resumed = folder.exists()
     training = trainings(options.agent, vehicle, options.timesteps)[name]
     request = request_of(training, folder, DEFAULT_JOBS)
     if status := train(request):
@@ -226,28 +228,28 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
     from baselines.training.apg.settings import check
 
     processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
-    took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
+    took = {} if resumed else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
     own = {"set": recipe(name, options.agent, vehicle, options.timesteps)}
     return errors(str(folder / AGENT_FOLDER), vehicle, options.episodes) | took | own
 
 
 def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return the geometric mean over paired episodes of one policy's error over another's, with its 95 % interval."""
+    """Return the geometric mean over paired episodes of the ratio of two policies' errors, and its 95 % interval."""
     logs = [
         np.log(np.array(a) / np.array(b)) for a, b in zip(policy["steady_rmses"], other["steady_rmses"], strict=True)
     ]
-    drawn_again = resamplings(tuple(map(len, logs)))
-    sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
+    weights = resamplings(tuple(map(len, logs)))
+    sums: Array = sum((w @ own / len(own) for w, own in zip(weights, logs, strict=True)), np.zeros(1))
     values = np.exp(sums / len(logs))
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return float(values[0]), low, high
 
 
 def fine_tuning_section() -> str:
-    """Return the part of docs/fine-tuning.md with the results."""
+    """Return the section of docs/fine-tuning.md with the results."""
     record = read_json(DOCS / FINE_TUNING_FILE)
-    asked, vehicles = _compared(record["agent"]), record["vehicles"].items()
-    gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
+    policies, vehicles = _compared(record["agent"]), record["vehicles"].items()
+    gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in policies if name not in found]
     missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
     return (
         f"`{record['agent']}` in the cruise cases of published vehicles, {record['episodes']} held-out episodes each, "
@@ -260,16 +262,16 @@ def fine_tuning_section() -> str:
 
 
 def fine_tuning_table(record: Mapping[str, Any]) -> str:
-    """Return what was measured as a table in Markdown."""
+    """Return the results of all policies as a table in Markdown."""
     count = record["episodes"] * len(CASES)
     lines = [
         f"| vehicle | policy | typical error [cm] | typical ratio | mean ratio | failures of {count} |",
         "|---|---|---|---|---|---|",
     ]
-    asked = _compared(record["agent"])
+    policies = _compared(record["agent"])
     for vehicle, found in record["vehicles"].items():
         length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
-        for name in sorted(found, key=lambda name: asked.index(name) if name in asked else -1):
+        for name in sorted(found, key=lambda name: policies.index(name) if name in policies else -1):
             own = found[name]
             typical = 100 * length * math.exp(float(np.mean(np.log(own["steady_rmses"]))))
             says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
@@ -287,7 +289,7 @@ def _took(own: Mapping[str, Any]) -> str:
 
 
 def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[float, float, float] | None]:
-    """Return the typical and the mean error over that of the agent trained alone, with intervals; None without one."""
+    """Return the ratios of the typical and of the mean error to those of `ALONE`, with intervals; None without it."""
     if ALONE not in found:
         return [None, None]
     mean = relative_error(*([np.array(case) for case in of["steady_rmses"]] for of in (found[ALONE], own)))

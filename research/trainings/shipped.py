@@ -26,24 +26,24 @@ PROGRAM = "python -m research train-all"
 class Options:
     """Train the agents that ship with the package, one after the other, each in a folder DIR/NAME.
 
-    A second call goes on where the first was interrupted. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    A second call resumes interrupted trainings. Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
-    """Which of them; without any, all."""
+    """Names of agents. Default: all."""
     out: Path = Path("runs/shipped")
     """Folder of the runs."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Control steps of each, to try it out. Default: as many as the shipped ones had."""
+    """Control steps of each training, for a trial run. Default: those of the shipped agents."""
     install: bool = False
-    """Put the trained agents into baselines/agents/shipped, in place of those that are there."""
+    """Replace the agents in baselines/agents/shipped by the trained ones."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train as the arguments say and return the exit status.
+    """Train the agents and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, SHIPPED_TRAININGS)
@@ -59,5 +59,5 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def install_agent(name: str, run_folder: Path) -> None:
-    """Put the trained agent of a run into baselines/agents/shipped, in place of what is there."""
+    """Replace an agent in baselines/agents/shipped by the trained agent of a run."""
     Agent.load(run_folder / AGENT_FOLDER).save(found(SHIPPED_FOLDER, name), (run_folder / CURVE_FILE).read_bytes())

@@ -1,7 +1,7 @@
-"""Train agents with several seeds, with and without one thing or another: `python -m research study --help`.
+"""Train agents with several seeds and with single settings changed: `python -m research study --help`.
 
-Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites; the tail errors of every episode
-are kept in `research/data/studies/` for the page of results.
+Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites. The steady-state errors of every
+episode are recorded in `research/data/studies/` for the pages of results.
 """
 
 from __future__ import annotations
@@ -38,29 +38,26 @@ from research.trainings.trainings import (
 )
 
 PROGRAM = "python -m research study"
-
-
 OF_ALL_VEHICLES = "helm-any"
-"""The agent that is run on other vehicles too."""
-OF_THE_PAPER = tuple(
-    name for name in RECORDED_SUITES if name != "vehicles-v1"
-)  # suites of the vehicle that the others know
+"""Agent that also runs on the suites with other vehicles."""
+OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v1")
+"""Suites of the paper's vehicle."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """Agents that differ in the seed alone."""
+    """A training with several seeds."""
 
-    about: str  # one line for the results page
-    speed_range: str  # in which they are run
-    training: TrainOptions  # the number of seeds included
+    about: str  # description for the results page, one line
+    speed_range: str  # speed range in which the agents run
+    training: TrainOptions  # contains the number of seeds
     suites: tuple[str, ...] = OF_THE_PAPER
-    runs: str = ""  # folder of the runs, where it is not that of the variant's name
+    runs: str = ""  # name of the folder of the runs, if it differs from the name of the variant
 
 
-_SEEDS = 5  # of each agent that ships with the package
-_SHORT = 3_000_000  # control steps of the trainings that differ from `short-cruise` in one thing
-_FEW = 2  # seeds of the trainings that differ from `short-cruise` in one thing
+_SEEDS = 5  # seeds of each shipped agent
+_SHORT = 3_000_000  # control steps of the trainings of `SHORT_TRAININGS`
+_FEW = 2  # seeds of the trainings of `SHORT_TRAININGS`
 
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
@@ -69,46 +66,46 @@ def _short(about: str, expert: str | None = None, authority: tuple[float, ...] =
 
 
 _FAMILIES: Mapping[str, str] = {
-    "apg": "The expert corrected by the analytic gradient, from measurements alone.",
-    "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
-    "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
-    "helm": "One agent for both regimes: small errors seen as well as large ones, filters, and slewing thrusters.",
-    "helm-blind": "`helm` without sight of the path ahead.",
+    "apg": "A network corrects the expert, from measurements alone; trained by the analytic gradient.",
+    "apg-preview": "A larger network with a preview of the reference, and nearly no cost of its commands.",
+    "apg-adverse": "Trained also with sensor and actuator faults, delays and sheared currents.",
+    "helm": "One agent for both speed ranges, with finer inputs for small errors, filters, and slewing actuators.",
+    "helm-blind": "`helm` without a preview of the path.",
     "helm-small": "`helm` with a network of 2,004 weights.",
-    "helm-any": "`helm`, trained further on drawn vehicles and told which one it steers.",
-    "apg-scratch": "Without an expert: the network commands alone.",
-    "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
+    "helm-any": "`helm`, trained further on random vehicles; its inputs contain the vehicle model.",
+    "apg-scratch": "Without an expert: the network gives the whole command.",
+    "ppo": "A network without memory corrects the expert; it learns from rewards until its score stops rising.",
     "ppo-lstm": "The same with long short-term memory.",
-    "sac": "The same from fewer steps, each of which is learned from many times.",
-    "td3": "The same from fewer steps, each of which is learned from many times.",
+    "sac": "The same with fewer steps and a replay buffer.",
+    "td3": "The same with fewer steps and a replay buffer.",
 }
-"""What the agents that ship with the package are, by their names without the regime."""
+"""Descriptions of the shipped agents, by their names without the speed range."""
 BRIEF: Mapping[str, Variant] = {
     f"ppo-3m-{speed_range}": Variant(
-        "The expert corrected by a network without memory, which learns from rewards.",
+        "A network without memory corrects the expert; it learns from rewards.",
         speed_range,
         replace(training("ppo", weighted(speed_range, **SPINS), PPO_AUTHORITY[speed_range]), seeds=_SEEDS),
     )
     for speed_range in ("cruise", "slow")
 }
-"""PPO with a quarter of the steps of those that ship."""
+"""PPO with a quarter of the steps of the shipped agents."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
-    "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
-    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=ERROR_ONLY["preview"]),
-    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
-    "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
+    "short-cruise": _short("As `apg-cruise`, with fewer steps: the reference for the following trainings."),
+    "short-preview": _short("A preview of the reference, 0.5, 1, 2 and 4 s ahead.", preview=ERROR_ONLY["preview"]),
+    "short-no-memory": _short("Two tanh layers instead of the recurrent units.", memory=False),
+    "short-no-integrals": _short("No integrals of the error as inputs.", integrals=False),
     "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
-    "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),
-    "short-ekf": _short("The law on an extended Kalman filter as the expert.", "ekf"),
-    "short-free": _short("Commands cost next to nothing.", effort_weight=0.002, rate_weight=0.001),
-    "short-horizon": _short("The gradient goes back over 10 steps (1 s) in place of 50.", n_steps=10),
-    "short-adam": _short("Every weight follows Adam, at its learning rate.", matrix_learning_rate=0.0),
+    "short-scratch": _short("Without an expert: the network gives the whole command.", NO_EXPERT, (1.0, 1.0)),
+    "short-ekf": _short("The control law on an extended Kalman filter as the expert.", "ekf"),
+    "short-free": _short("Nearly no cost of the commands.", effort_weight=0.002, rate_weight=0.001),
+    "short-horizon": _short("Backpropagation through 10 steps (1 s) instead of 50.", n_steps=10),
+    "short-adam": _short("Adam for all weights, also for the matrices.", matrix_learning_rate=0.0),
 }
-"""Trainings that show what one thing is worth."""
+"""Trainings that differ from `short-cruise` in one setting each."""
 
 
 def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
-    """Return the variants of an agent that ships: one, or one for each regime of an agent for both."""
+    """Return the variants of a shipped agent: one for each of its speed ranges."""
     family, _, speed_range = name.rpartition("-")
     if speed_range in SPEED_RANGES:
         return {name: Variant(_FAMILIES[family], speed_range, replace(each, seeds=_SEEDS))}
@@ -124,31 +121,31 @@ VARIANTS: Mapping[str, Variant] = {
     **BRIEF,
     **SHORT_TRAININGS,
 }
-"""The agents of the study, by name."""
+"""The trainings of the study, by name."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Train the agents of the study with several seeds, run them on the frozen suites and keep what they did.
+    """Train the agents of the study with several seeds, run them on the frozen suites and record the results.
 
-    A second call goes on where the first was interrupted. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    A second call resumes interrupted trainings. Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
-    """Which of them; without any, all."""
+    """Names of trainings. Default: all."""
     out: Path = Path("runs/study")
     """Folder of the runs."""
     jobs: int = 2
-    """Trainings at the same time."""
+    """Number of trainings that run at the same time."""
     install: bool = False
-    """Put the first seed's agent into baselines/agents/shipped, where one of the name ships with the package."""
+    """Replace the agents in baselines/agents/shipped by those of the first seed."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train and evaluate as the arguments say and return the exit status.
+    """Train and evaluate the agents, record the results, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("training", options.name, VARIANTS)
@@ -165,7 +162,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def studied(variant: Variant, request: Request, jobs: int) -> Study:
-    """Return what the trained agents of a request do on the suites of a variant."""
+    """Return the results of the trained agents of a request on the suites of a variant."""
     agents = [str(folder / AGENT_FOLDER) for folder in request.folders]
     results = {name: _rolled_out(agents, suite_cells(name, variant.speed_range), jobs) for name in variant.suites}
     curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
@@ -173,7 +170,7 @@ def studied(variant: Variant, request: Request, jobs: int) -> Study:
 
 
 def suite_cells(suite: str, speed_range: str) -> list[Cell]:
-    """Return the cells of a frozen suite in a regime."""
+    """Return the cells of a frozen suite in a speed range."""
     return suites.load_suite(suite).cells_in((speed_range,))
 
 

@@ -1,4 +1,4 @@
-"""Trainings by name: those of the agents that ship with the package, as `train.py` runs them."""
+"""The trainings of the shipped agents by name, as options of `train.py`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
 
 UNNAMED = Options(algo="", scenario=())
-"""What the command of a training is without words: algorithm and scenario are always named."""
+"""Default options, without algorithm and scenario, which a command always contains."""
 
 
 def training(
@@ -30,42 +30,43 @@ def training(
     changes: Mapping[str, Any] = MappingProxyType({}),
     from_: str | None = None,
 ) -> Options:
-    """Return what an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say.
+    """Return the options of a training. Values that are None or empty are those of the algorithm's hyper-parameters.
 
     Args:
-        algo: see `Options`, as all but the last.
-        scenario: the words of the option, with blanks between them.
+        algo: algorithm, see `Options`.
+        scenario: words of the option `--scenario`, separated by blanks.
         authority: one number, or one each for surge and yaw.
-        expert: a policy's name.
-        timesteps: control steps, summed over vehicles.
-        changes: of the hyper-parameters, by name.
-        from_: an agent to begin with.
+        expert: name of a policy.
+        timesteps: number of control steps, summed over vehicles.
+        changes: values of hyper-parameters that differ from the defaults, by name.
+        from_: agent from which the training starts.
     """
     words = tuple(changed_words(changes))
     return Options(algo, tuple(scenario.split()), expert, authority, from_, timesteps=timesteps, set=words)
 
 
 def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
-    """Return a training in a folder, or in one of its folders for each seed, to begin or to go on with.
+    """Return the request to start or resume a training in a folder. Several seeds have a subfolder each.
 
     Raises:
-        UsageError: the folder holds something else.
+        UsageError: the folder contains something else.
     """
     words = words_of(training, UNNAMED)
     return Request.of(replace(training, out=folder, jobs=jobs, resume=True), f"python {PROGRAM} {shlex.join(words)}")
 
 
 def weighted(speed_range: str, **weights: float) -> str:
-    """Return a regime's cases, some of them with weights, as `train.py --scenario` takes them."""
+    """Return the cases of a speed range, some with weights, in the format of `train.py --scenario`."""
     return " ".join(
         f"{speed_range}-{case}:{weights[case]:g}" if case in weights else f"{speed_range}-{case}" for case in CASES
     )
 
 
 SLOW_AUTHORITY = (0.6, 1.6)
-"""In slow motion the limits are small beside the law's own commands: a correction must be able to undo those."""
+"""Authority in slow motion: the commands of the expert are large relative to the limits, and a correction must be able
+to cancel them."""
 SLOW_TRAINING: Mapping[str, Any] = {"effort_weight": 0.15}
-"""Of the analytic gradient in slow motion, where currents and waves are strong beside the limits."""
+"""Changes for the analytic gradient in slow motion, where currents and waves are strong relative to the limits."""
 ERROR_ONLY: Mapping[str, Any] = {
     "preview": [5, 10, 20, 40],
     "hidden_size": 128,
@@ -73,18 +74,19 @@ ERROR_ONLY: Mapping[str, Any] = {
     "effort_weight": 0.002,
     "rate_weight": 0.002,
 }
-"""Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, cheap commands."""
+"""Changes for the analytic gradient if only the error counts: a preview, a larger network, nearly free commands."""
 _FREE: Mapping[str, Any] = {**ERROR_ONLY, "effort_weight": 0.0003, "rate_weight": 0.0003}
-"""`ERROR_ONLY` at cruise, where calm commands cost more of the error."""
+"""`ERROR_ONLY` at cruise, where smooth commands increase the error more."""
 SPINS: Mapping[str, float] = {"actuator": 3, "storm": 2}
-"""Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
+"""Weights of the cases for PPO, which makes fast vehicles with slow actuators spin."""
 PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise": (1.0, 0.6)}
-"""Of PPO, with memory or without: more lets fast vehicles with slow actuators spin."""
+"""Authority of PPO, with or without memory: a larger one makes fast vehicles with slow actuators spin."""
 WIDE: Mapping[str, Any] = {"n_envs": 512, "n_steps": 64, "batch_size": 4096, "n_epochs": 4}
-"""Of PPO where it is trained until its score has stopped to rise: less noise in each update."""
+"""Changes for PPO that is trained until its score stops rising: larger batches, so less noise in each update."""
 EVEN: Mapping[str, Any] = {"n_envs": 96, "n_steps": 100, "cut": 3, "final_share": 0.01, "evenness": 0.75}
-"""Of the analytic gradient where vehicles are of very different difficulty: a long sight back, derivatives that are cut
-soon, as that makes chaos of some, and errors that count mostly by their ratios, or the worst would drown all others."""
+"""Changes for the analytic gradient if the episodes differ much in difficulty: long windows; gradients that are cut
+early, because long ones are chaotic in some episodes; errors weighted mostly by their ratios, so that the largest do
+not dominate."""
 BOTH: Mapping[str, Any] = {
     "preview": ERROR_ONLY["preview"],
     "hidden_size": 128,
@@ -97,17 +99,17 @@ BOTH: Mapping[str, Any] = {
     "filters": True,
     "validations": 1,
 }
-"""Of agents for both regimes: small errors seen as well as large ones, filters, and commands no rougher than those of
+"""Changes for agents for both speed ranges: finer inputs for small errors, filters, and commands as smooth as those of
 `nmpc`."""
 HELM: Mapping[str, Any] = {**BOTH, **EVEN, "groups": 2, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
-"""Of the agent for both regimes."""
+"""Changes for `helm`."""
 _MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
-"""Of its kin: shorter windows, and errors count as they are."""
+"""Changes for the variants of `helm`: shorter windows, and errors without weighting."""
 _SMALL: Mapping[str, Any] = {**_MEAN, "hidden_size": 11}
-"""Of one for a microcontroller: about 2,000 weights."""
+"""Changes for `helm-small`, for a microcontroller: about 2,000 weights."""
 BLIND: Mapping[str, Any] = {**_MEAN, "preview": []}
-"""Of one that is shown nothing of the reference ahead."""
-ANY_HULL: Mapping[str, Any] = {
+"""Changes for `helm-blind`, without a preview of the reference."""
+ANY_VEHICLE: Mapping[str, Any] = {
     **EVEN,
     "groups": 2,
     "hull": True,
@@ -118,11 +120,11 @@ ANY_HULL: Mapping[str, Any] = {
     "warm_up": 0.1,
     "validations": 1,
 }
-"""Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for two thirds of the
-vehicles that it learns on."""
+"""Changes for `helm-any`, which starts from `helm`: its inputs contain the vehicle model, and two thirds of the
+training vehicles are random."""
 SHIPPED_TRAININGS: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),
@@ -144,4 +146,4 @@ SHIPPED_TRAININGS: Mapping[str, Options] = {
     "td3-cruise": training("td3", "cruise"),
     "td3-slow": training("td3", "slow", (0.6, 0.6)),
 }
-"""The trainings of the agents that ship with the package, by their names."""
+"""The trainings of the shipped agents, by name."""

@@ -1,1 +1,1 @@
-"""Other simulators: vehicles of six degrees of freedom that unchanged policies steer, and what they do there."""
+"""Transfer to another simulator: unchanged policies on vehicles with six degrees of freedom."""

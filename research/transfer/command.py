@@ -1,6 +1,6 @@
-"""Run the same policies in the plane and in six degrees of freedom and compare: `python -m research transfer --help`.
+"""Compare policies in the plane and in six degrees of freedom: `python -m research transfer --help`.
 
-docs/elsewhere.md shows what comes out.
+The page of the results is docs/transfer.md.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
-from research.transfer.comparison import TRANSFER_FILE, TransferTask, caused, summarised
+from research.transfer.comparison import TRANSFER_FILE, TransferTask, growth_of_variants, summary
 from research.transfer.page import verdict
-from research.transfer.worlds import SIX_DOF_MODELS
+from research.transfer.simulators import SIX_DOF_MODELS
 
 PROGRAM = "python -m research transfer"
 _POLICIES = (
@@ -40,57 +40,58 @@ _POLICIES = (
     "helm",
     "helm-any",
 )
-"""Who is compared."""
+"""Policies by default."""
 _CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
-"""What they go through: the cases whose trouble is the same in both simulators; each has lags of its own."""
+"""Cases by default: those with the same disturbances in both simulators, which have different actuator lags."""
+_WORK = Path("runs/transfer")
+"""Folder of the results of each policy, which later runs use again."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Run policies on the same episodes in the plane and in six degrees of freedom, and say how far they agree.
+    """Run policies on the same episodes in the plane and in six degrees of freedom, and compare the errors.
 
-    What came out of a policy is kept in --work, and taken from there while policy and options stay the same.
+    The results of each policy are kept in runs/transfer and used again if policy and options are the same.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
-    """Policies by name."""
+    """Names of policies."""
     vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = tuple(SIX_DOF_MODELS)
-    """Vehicles by name."""
+    """Names of vehicles."""
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = _CASES
-    """Cases by name."""
+    """Names of cases."""
     episodes: int = 64
-    """Episodes of each case."""
+    """Number of episodes of each case."""
     log: Annotated[Path | None, arg(metavar="LOG.csv", help_behavior_hint="")] = None
-    """Write the log of a trial of the first vehicle instead, to identify a vehicle from."""
-    seed: int = 0
-    """Of a log's noise."""
+    """Only write the log of a trial of the first vehicle, for an identification."""
     jobs: int = 1
     """Worker processes."""
-    work: Path = Path("runs/elsewhere")
-    """Folder for what came out of each policy."""
     out: Path = TRANSFER_FILE
-    """File for what came out."""
+    """File for the results."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Compare as the arguments say and return the exit status.
+    """Compare the simulators, write the results, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)
     _check(options)
     if options.log is not None:
-        trials.log(options.vehicle[0], options.seed).save(options.log)
+        trials.log(options.vehicle[0]).save(options.log)
         print(f"written: {options.log}, a trial of {options.vehicle[0]} in six degrees of freedom")
         return DONE
     record: dict[str, Any] = {}
     for vehicle in options.vehicle:
-        found = summarised(_results(options, vehicle))
-        record[vehicle] = {**found, "causes": caused(vehicle, options.episodes), "trials": trials.turned(vehicle)}
+        record[vehicle] = {
+            **summary(_results(options, vehicle)),
+            "causes": growth_of_variants(vehicle, options.episodes),
+            "trials": trials.steady_motion(vehicle),
+        }
         print(f"{vehicle}: {verdict(record[vehicle])}", flush=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
@@ -99,26 +100,26 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _check(options: Options) -> None:
-    """Raise UsageError if the options do not make sense."""
+    """Raise UsageError if an option is invalid."""
     check_words("policy", options.policy, list_policies())
     check_words("vehicle", options.vehicle, SIX_DOF_MODELS)
     check_words("case", options.case, KNOWN)
-    if options.episodes < 2 or options.seed < 0 or options.jobs < 1:
-        raise UsageError("--episodes must be 2 or more, --seed 0 or more and --jobs 1 or more")
+    if options.episodes < 2 or options.jobs < 1:
+        raise UsageError("--episodes must be 2 or more and --jobs 1 or more")
     if len(options.policy) < 2 and options.log is None:
         raise UsageError(f"--policy names {len(options.policy)}; a ranking needs 2 or more")
 
 
 def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
-    """Return what came out by policy and case; what is not kept already is run."""
-    files = {policy: options.work / vehicle / f"{policy}.json" for policy in options.policy}
+    """Return the results by policy and case; missing ones are computed and kept."""
+    files = {policy: _WORK / vehicle / f"{policy}.json" for policy in options.policy}
     stamps = {policy: f"{fingerprint(policy)} {options.episodes}" for policy in options.policy}
     known: dict[str, dict[str, Any]] = {}
     for policy, file in files.items():
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         known[policy] = kept.get("cases", {}) if kept.get("stamp") == stamps[policy] else {}
-    left = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
-    tasks = [TransferTask(policy, vehicle, cases, options.episodes) for policy, cases in left.items() if cases]
+    missing = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
+    tasks = [TransferTask(policy, vehicle, cases, options.episodes) for policy, cases in missing.items() if cases]
     for task, found in Workers(options.jobs).results(TransferTask.run, [(task,) for task in tasks]):
         known[task.policy] |= found
         files[task.policy].parent.mkdir(parents=True, exist_ok=True)

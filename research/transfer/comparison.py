@@ -1,4 +1,4 @@
-"""What two simulators say about the same policies on the same episodes: how much errors grow, and who leads."""
+"""Errors of the same policies on the same episodes in two simulators: their growth and their ranks."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from baselines.policies import make_policy
 from research import DATA
 from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
-from research.transfer.worlds import WORLD_VARIANTS, Own
+from research.transfer.simulators import SIX_DOF_VARIANTS, SixDofSimulator
 
-TRANSFER_FILE = DATA / "transfer.json"  # what came out
-_SPEED_RANGE = "cruise"  # vehicles that fins steer have no other
-PLANE = "plane"  # the simulator of three degrees of freedom
-SPACE = "space"  # the one of six
-GROWTH = 1.5  # most growth of an error that is asked for
-TAU = 0.8  # least rank correlation that is asked for
+TRANSFER_FILE = DATA / "transfer.json"  # record of the results
+_SPEED_RANGE = "cruise"  # the only speed range of vehicles with fins
+PLANE = "plane"  # the simulator with three degrees of freedom
+SPACE = "space"  # the simulator with six degrees of freedom
+GROWTH = 1.5  # criterion: largest ratio of the errors
+TAU = 0.8  # criterion: smallest rank correlation
 
 
 @dataclass(frozen=True)
 class TransferTask:
-    """One policy on one vehicle, in both simulators; the episodes of all cases run side by side."""
+    """One policy on one vehicle in both simulators; the episodes of all cases are simulated together."""
 
     policy: str
     vehicle: str
     cases: tuple[str, ...]
-    episodes: int  # of each case
-    lacking: str = ""  # one of the `WORLD_VARIANTS` of the vehicle, in place of the published one
+    episodes: int  # number of episodes of each case
+    variant: str = ""  # one of the `SIX_DOF_VARIANTS` of the vehicle, in place of the published one
 
     def run(self) -> tuple[TransferTask, dict[str, Any]]:
-        """Return the task, and by case what came out: tail errors [m] and lost episodes in each simulator."""
+        """Return the task and its results by case: steady-state errors [m] and failures in each simulator."""
         found: dict[str, dict[str, Any]] = {case: {} for case in self.cases}
         for place in (PLANE, SPACE):
-            measures = self.played(place)
+            measures = self.measures(place)
             for i, case in enumerate(self.cases):
                 own = measures[i * self.episodes : (i + 1) * self.episodes]
                 steady_rmses = [float(f"{steady_rmse:.4g}") for steady_rmse in own.steady_rmse]
@@ -54,18 +54,20 @@ class TransferTask:
 
     @property
     def cells(self) -> list[Cell]:
-        """Scenario and episodes of each case, all with the number of integration steps that the stiffest one needs."""
+        """Scenario and episodes of each case, all with the largest number of integration steps that a case needs."""
         scenarios = [as_scenario(f"{_SPEED_RANGE}-{case}@{self.vehicle}") for case in self.cases]
         substeps = max(scenario.substeps for scenario in scenarios)
         return [drawn(replace(scenario, substeps=substeps), self.episodes, TRANSFER.first) for scenario in scenarios]
 
     def bodies(self, place: str) -> MadeBodies | None:
-        """Return what makes the vehicles of a simulator; None for the plane."""
-        vehicle: Any = WORLD_VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
-        return bodies(lambda n: Own(vehicle, n), vehicle_model(self.vehicle).vehicle) if place == SPACE else None
+        """Return the argument `bodies` of `beginning` for a simulator; None for the plane."""
+        if place == PLANE:
+            return None
+        vehicle: Any = SIX_DOF_VARIANTS[self.vehicle][self.variant] if self.variant else self.vehicle
+        return bodies(lambda n: SixDofSimulator(vehicle, n), vehicle_model(self.vehicle).vehicle)
 
-    def played(self, place: str) -> Measures:
-        """Return what the policy does in one of the simulators, `PLANE` or `SPACE`, case by case."""
+    def measures(self, place: str) -> Measures:
+        """Run the policy in a simulator, `PLANE` or `SPACE`, and return the measures of its episodes, case by case."""
         cells = self.cells
         scenario, policy = cells[0].scenario, make_policy(self.policy, vehicle_model(self.vehicle).vehicle)
         given = [(cell.scenario, cell.episodes) for cell in cells]
@@ -76,40 +78,41 @@ class TransferTask:
         return log.measures(scenario)
 
 
-CAUSED = "current"
-"""The case in which causes are looked for: a steady trouble, and one that growth is seen in."""
-CAUSED_POLICIES = ("los-pid", "ekf")
-"""Whose growth is looked at: one that feeds back alone, and one that believes in a model."""
+_VARIANT_CASE = "current"
+"""Case of the comparison of variants: a steady disturbance in which the errors grow."""
+_VARIANT_POLICIES = ("los-pid", "ekf")
+"""Policies of the comparison of variants: one with feedback only, and one with a vehicle model."""
 
 
-def caused(vehicle: str, episodes: int) -> dict[str, Any]:
-    """Return the growth of the mean tail error where the vehicle in space lacks what may make it.
+def growth_of_variants(vehicle: str, episodes: int) -> dict[str, Any]:
+    """Return the growth of the mean steady-state error for each variant of a vehicle in six degrees of freedom.
 
     Args:
-        vehicle: its name.
-        episodes: how many are run.
+        vehicle: name of the vehicle.
+        episodes: number of episodes.
     """
-    growth: dict[str, dict[str, float]] = {what: {} for what in WORLD_VARIANTS[vehicle]}
-    for policy in CAUSED_POLICIES:
-        plane = TransferTask(policy, vehicle, (CAUSED,), episodes).played(PLANE).steady_rmse.mean()
-        for what, found in growth.items():
-            space = TransferTask(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).steady_rmse.mean()
+    growth: dict[str, dict[str, float]] = {variant: {} for variant in SIX_DOF_VARIANTS[vehicle]}
+    for policy in _VARIANT_POLICIES:
+        task = TransferTask(policy, vehicle, (_VARIANT_CASE,), episodes)
+        plane = task.measures(PLANE).steady_rmse.mean()
+        for variant, found in growth.items():
+            space = replace(task, variant=variant).measures(SPACE).steady_rmse.mean()
             found[policy] = float(space / plane)
-    return {"case": CAUSED, "policies": list(CAUSED_POLICIES), "episodes": episodes, "growth": growth}
+    return {"case": _VARIANT_CASE, "policies": list(_VARIANT_POLICIES), "episodes": episodes, "growth": growth}
 
 
 def concordance(a: Array, b: Array) -> NDArray[np.float64]:
-    """Return Kendall's tau of rows without ties, shapes (..., P): the mean over pairs of the signs' product."""
+    """Return Kendall's tau of rows without ties, shapes (..., P): the mean over pairs of the product of their signs."""
     first, second = np.triu_indices(a.shape[-1], 1)
     signs = np.sign(a[..., first] - a[..., second]) * np.sign(b[..., first] - b[..., second])
     return np.asarray(signs.mean(axis=-1))
 
 
 def pooled(steady_rmses: Sequence[Array]) -> Array:
-    """Return the mean over cases of policies' mean tails, shape (1 + resamples, P); the first as measured.
+    """Return the mean errors over all cases of P policies, as measured and resampled, shape (1 + resamples, P).
 
     Args:
-        steady_rmses: of each case [m], shape (P, episodes).
+        steady_rmses: errors [m] in each case, shape (P, episodes).
     """
     counts = resamplings(tuple(own.shape[1] for own in steady_rmses))
     means = [count @ own.T / own.shape[1] for count, own in zip(counts, steady_rmses, strict=True)]
@@ -121,14 +124,14 @@ def _ends(values: Array) -> list[float]:
     return [float(x) for x in np.quantile(values, (0.025, 0.975))]
 
 
-def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Return what a vehicle's results say: by policy in all, by case, and the rank correlation.
+def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return the summary of a vehicle's results: errors and growth by policy, and rank correlations.
 
     Intervals are the 2.5th and 97.5th percentile over resampled episodes, the same ones in both simulators and for all
     policies.
 
     Args:
-        results: by policy and case what `TransferTask.run` gives.
+        results: results of `TransferTask.run`, by policy and case.
     """
     names, cases = list(results), list(next(iter(results.values())))
     steady_rmses = {
@@ -154,7 +157,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         }
         for i, name in enumerate(names)
     }
-    middle = [np.mean([np.median(own, axis=1) for own in steady_rmses[place]], axis=0) for place in (PLANE, SPACE)]
+    medians = [np.mean([np.median(own, axis=1) for own in steady_rmses[place]], axis=0) for place in (PLANE, SPACE)]
     by_case = {
         case: float(concordance(*(steady_rmses[p][j].mean(axis=1) for p in steady_rmses)))
         for j, case in enumerate(cases)
@@ -166,7 +169,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         "tau": {
             "all": float(taus[0]),
             "ci95": _ends(taus[1:]),
-            "medians": float(concordance(*middle)),
+            "medians": float(concordance(*medians)),
             "by_case": by_case,
         },
     }

@@ -1,4 +1,4 @@
-"""The values of docs/elsewhere.md: the same policies in two simulators."""
+"""The values of docs/transfer.md: the same policies in two simulators."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from research.transfer.comparison import GROWTH, TAU, TRANSFER_FILE
 
 
 def context(_: str = "") -> dict[str, Any]:
-    """Return the tables of each vehicle."""
+    """Return the values of the page's template."""
     vehicles = [_vehicle(name, record) for name, record in read_json(TRANSFER_FILE).items()]
     return {"vehicles": vehicles, "tau": f"{TAU:g}", "growth": f"{GROWTH:g}"}
 
 
 def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a vehicle."""
+    """Return the texts and tables of a vehicle."""
     tau, cases, causes = (record[key] for key in ("tau", "cases", "causes"))
     policies = sorted(record["policies"].items(), key=lambda item: item[1]["plane_m"])
     ranks = [*(f"{tau['by_case'][case]:.2f}" for case in cases), f"{tau['all']:.2f} ({_ends(tau['ci95'])})"]
@@ -49,7 +49,7 @@ def _ends(interval: tuple[float, float]) -> str:
 
 
 def _trials(record: Mapping[str, Any]) -> str:
-    """Return how steady motion differs, in a sentence."""
+    """Return a sentence that compares the steady motion in both simulators."""
     speeds, diameters = ([r["space"] / r["plane"] for r in record[kind]] for kind in ("straight", "turns"))
     return (
         f"Under the same surge force the steady speed in 6-DOF is {min(speeds):.2f} to {max(speeds):.2f} times that in "
@@ -59,7 +59,7 @@ def _trials(record: Mapping[str, Any]) -> str:
 
 
 def verdict(record: Mapping[str, Any]) -> str:
-    """Return in words how far the two simulators agree."""
+    """Return sentences that compare ranks and errors in both simulators."""
     policies, tau = record["policies"], record["tau"]["all"]
     best, best_there = (min(policies, key=lambda name: policies[name][place]) for place in ("plane_m", "space_m"))
     ratios = sorted((own["growth"], name) for name, own in policies.items())

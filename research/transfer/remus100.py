@@ -1,9 +1,9 @@
-"""REMUS 100 in six degrees of freedom: a torpedo with rudder, stern planes and a propeller.
+"""The REMUS 100 in six degrees of freedom: a torpedo with rudder, stern planes and a propeller.
 
-The equations are those of Fossen (2021), section 8.4.2, as vehicles/remus100.py of PythonVehicleSimulator (T. I.
-Fossen, MIT licence) states them, with the drag and the propeller of B. Allen, W. S. Vorus and T. Prestero, "Propulsion
-system performance enhancements on REMUS AUVs", OCEANS 2000. Two things differ: the propeller's advance speed is that
-through water, where the source takes the one over ground, and the integration is of fourth order.
+The equations are those of Fossen (2021), section 8.4.2, as in vehicles/remus100.py of PythonVehicleSimulator (T. I.
+Fossen, MIT licence), with the drag and the propeller of B. Allen, W. S. Vorus and T. Prestero, "Propulsion system
+performance enhancements on REMUS AUVs", OCEANS 2000. There are two differences: the advance speed of the propeller is
+relative to the water, not over ground as in the source, and the integration is of fourth order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
-    Outside,
+    Inputs,
     SpatialMotion,
     Vector,
     coriolis,
@@ -37,45 +37,45 @@ from research.transfer.six_dof import (
 _DENSITY = 1026.0  # [kg/m^3] of the water
 _LENGTH = 1.6  # [m]
 DIAMETER = 0.19  # [m]
-CG_BELOW = 0.02  # [m] centre of mass below that of buoyancy
-DRAG_AREA = 0.7 * _LENGTH * DIAMETER  # [m^2] S, the area that lift and drag refer to
-FRONTAL_DRAG = 0.42  # Cd of the frontal area, Allen et al. (2000)
-OSWALD = 0.7  # efficiency of the hull as a wing
+CG_BELOW = 0.02  # [m] distance of the centre of mass below the centre of buoyancy
+DRAG_AREA = 0.7 * _LENGTH * DIAMETER  # [m^2] S, reference area of lift and drag
+FRONTAL_DRAG = 0.42  # drag coefficient of the frontal area, Allen et al. (2000)
+OSWALD = 0.7  # Oswald efficiency of the body
 ROLL_ADDED = 0.3  # added moment of inertia in roll as a share of that in air
 T_SURGE = 20.0  # [s] time constant of linear drag in surge
 _T_SWAY = 20.0  # [s] in sway and heave
 _T_YAW = 1.0  # [s] in yaw
-ZETA_ROLL = 0.3  # relative damping of roll
-ZETA_PITCH = 0.8  # relative damping of pitch
-_FADING = 3.0  # [s/m] linear drag of surge and sway fades as exp(-3 U)
+ZETA_ROLL = 0.3  # damping ratio of roll
+ZETA_PITCH = 0.8  # damping ratio of pitch
+_DECAY = 3.0  # [s/m] linear drag of surge and sway decreases as exp(-3 U)
 FIN_AREA = 2 * 0.00665  # [m^2] of the rudder, and of the stern planes
-RUDDER_LIFT = 0.5  # lift coefficient of the rudder per radian
-PLANE_LIFT = 0.7  # of the stern planes
+RUDDER_LIFT = 0.5  # [1/rad] lift coefficient of the rudder
+PLANE_LIFT = 0.7  # [1/rad] lift coefficient of the stern planes
 FIN_MOST = degrees(15.0)  # [rad]
 FIN_LAG = 0.1  # [s] of rudder and stern planes
 PROPELLER_LAG = 1.0  # [s]
 RPM_MOST = 1525.0  # [1/min]
-_PROPELLER = 0.14  # [m] diameter
+_PROPELLER = 0.14  # [m] diameter of the propeller
 WAKE = 0.944  # advance speed over speed through water, Allen et al. (2000)
 DEDUCTION = 0.1  # thrust deduction number
 KT_0 = 0.4566  # thrust coefficient at advance number 0
 KT_J = (0.1798 - 0.4566) / 0.6632  # its slope
 KQ_0 = 0.0700  # torque coefficient at advance number 0
 KQ_J = (0.0312 - 0.0700) / 0.6632  # its slope
-TORQUE_SHARE = 0.1  # of the propeller's torque that rolls the hull
-KP_Z = 0.1  # [rad/m] of the depth autopilot: pitch by depth
-T_Z = 100.0  # [s] of its integral
-KP_THETA = 5.0  # planes by pitch
-KD_THETA = 2.0  # [s] by pitch rate
-KI_THETA = 0.3  # [1/s] by the integral of pitch
-K_W = 5.0  # [rad s/m] by heave velocity
+TORQUE_SHARE = 0.1  # share of the propeller's torque that acts in roll
+KP_Z = 0.1  # [rad/m] depth autopilot: gain from depth to pitch
+T_Z = 100.0  # [s] integral time of the depth
+KP_THETA = 5.0  # gain from pitch to the planes
+KD_THETA = 2.0  # [s] gain from pitch rate
+KI_THETA = 0.3  # [1/s] gain from the integral of pitch
+K_W = 5.0  # [rad s/m] gain from heave velocity
 
-_NOSE = _LENGTH / 2  # [m] the spheroid's semi-axis along
-RADIUS = DIAMETER / 2  # [m] and across
+_NOSE = _LENGTH / 2  # [m] semi-axis of the spheroid along the body
+RADIUS = DIAMETER / 2  # [m] semi-axis across the body
 
 
 class _Actuators(NamedTuple):
-    """What the actuators and the depth autopilot remember: floats, or rows of shape (N,)."""
+    """States of the actuators and of the depth autopilot: floats, or rows of shape (N,)."""
 
     rudder: Number  # [rad], positive for a turn to starboard
     plane: Number  # [rad], positive for the nose down
@@ -85,7 +85,7 @@ class _Actuators(NamedTuple):
 
 
 def lamb_factors() -> tuple[float, float, float]:
-    """Return Lamb's k1, k2, k' of the spheroid: added mass along, across and in pitch; Fossen (2021), section 8.4.2."""
+    """Return Lamb's k1, k2, k' for the added mass of the spheroid in surge, sway and pitch; Fossen (2021), 8.4.2."""
     e2 = 1 - (RADIUS / _NOSE) ** 2
     e = math.sqrt(e2)
     stretched = math.log((1 + e) / (1 - e)) / 2
@@ -96,15 +96,16 @@ def lamb_factors() -> tuple[float, float, float]:
 
 
 def propeller(n: Number, advance: Number, at_rest: float, slope: float, ns: Namespace) -> Number:
-    """Return K |n| n for a coefficient K(J) = at_rest + slope J of the advance number J, at rest astern.
+    """Return K |n| n for a coefficient K(J) = at_rest + slope J of the advance number J; astern J is taken as 0.
 
-    Linear in J between bollard pull and the fastest speed, as the source fits a Wageningen propeller of 3 blades.
+    K is linear in J between bollard pull and the largest speed, as in the source, for a Wageningen propeller of 3
+    blades.
 
     Args:
         n: revolutions [1/s].
         advance: speed of the water into the propeller [m/s].
         at_rest: K at J = 0.
-        slope: of K.
+        slope: derivative of K by J.
         ns: the namespace of the numbers.
     """
     return ns.where(n > 0.0, at_rest * n * n + slope * (advance / _PROPELLER) * n, -at_rest * n * n)
@@ -113,34 +114,35 @@ def propeller(n: Number, advance: Number, at_rest: float, slope: float, ns: Name
 def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
     """Return the revolutions [1/min] at which the propeller's thrust, less the deduction, is F_u [N].
 
-    Ahead, on the branch where more revolutions are more thrust; less than none is asked of a propeller astern.
+    For a thrust ahead it is the branch on which the thrust increases with the revolutions. A negative thrust needs a
+    propeller that runs astern.
     """
-    wanted = F_u / ((1 - DEDUCTION) * _DENSITY * _PROPELLER**4)
+    target = F_u / ((1 - DEDUCTION) * _DENSITY * _PROPELLER**4)
     windmill = -KT_J * advance / _PROPELLER  # KT_0 n at which the thrust vanishes
     windmill = ns.where(windmill > 0.0, windmill, 0.0)
-    pull = ns.where(wanted > 0.0, wanted, 0.0)
+    pull = ns.where(target > 0.0, target, 0.0)
     ahead = (windmill + ns.sqrt(windmill * windmill + 4 * KT_0 * pull)) / (2 * KT_0)
-    astern = -ns.sqrt((pull - wanted) / KT_0)
-    return 60.0 * ns.clip(ns.where(wanted < 0.0, astern, ahead), -RPM_MOST / 60, RPM_MOST / 60)
+    astern = -ns.sqrt((pull - target) / KT_0)
+    return 60.0 * ns.clip(ns.where(target < 0.0, astern, ahead), -RPM_MOST / 60, RPM_MOST / 60)
 
 
 def rudder(F_r: Number, speed: Number, ns: Namespace) -> Number:
-    """Return the angle [rad] at which the rudder's yaw moment is F_r [N m], at a speed [m/s] through water."""
+    """Return the rudder angle [rad] for a yaw moment F_r [N m] at a speed [m/s] through water."""
     per_radian = _NOSE * 0.5 * _DENSITY * FIN_AREA * RUDDER_LIFT * (speed * speed + 1e-6)
     return ns.clip(F_r / per_radian, -FIN_MOST, FIN_MOST)
 
 
 def pitch_error(s: SpatialMotion, a: _Actuators) -> Number:
-    """Return the pitch [rad] beyond what brings the vehicle back to its depth."""
+    """Return the difference [rad] of the pitch from that which the depth control commands."""
     return s.theta - KP_Z * (s.z + a.z_integral / T_Z)
 
 
 @dataclass(frozen=True)
 class Remus100:
-    """The vehicle as a `worlds._Model`, or one that lacks something of it, to see what that makes."""
+    """The vehicle as a `simulators._Model`, with or without some effects."""
 
     propeller_lag: float = PROPELLER_LAG  # [s]
-    side_force: float = 1.0  # share of the rudder's force across the hull that acts
+    side_force: float = 1.0  # share of the rudder's side force
     crossed: bool = True  # see `six_dof.cross_flow`
 
     name: ClassVar[str] = "remus100"
@@ -148,30 +150,30 @@ class Remus100:
 
     @cached_property
     def rigid(self) -> Array:
-        """Masses in air about the centre of buoyancy, shape (6, 6)."""
-        m = 4 / 3 * math.pi * _DENSITY * _NOSE * RADIUS**2  # that of the water it takes the place of
+        """Mass matrix in air about the centre of buoyancy, shape (6, 6)."""
+        m = 4 / 3 * math.pi * _DENSITY * _NOSE * RADIUS**2  # mass of the displaced water
         roll, pitch = 2 / 5 * m * RADIUS**2, 1 / 5 * m * (_NOSE**2 + RADIUS**2)
         return shifted(np.diag([m, m, m, roll, pitch, pitch]), (0.0, 0.0, CG_BELOW))
 
     @cached_property
     def added(self) -> Array:
-        """Added masses, shape (6,): on the diagonal alone."""
+        """Diagonal of the matrix of added masses, shape (6,)."""
         m, roll, pitch = self.rigid[0, 0], 2 / 5 * self.rigid[0, 0] * RADIUS**2, self.rigid[5, 5]
         k1, k2, turning = lamb_factors()
         return np.array([m * k1, m * k2, m * k2, ROLL_ADDED * roll, turning * pitch, turning * pitch])
 
     @cached_property
     def masses(self) -> Array:
-        """Masses with those added, shape (6, 6)."""
+        """Mass matrix with added masses, shape (6, 6)."""
         return self.rigid + np.diag(self.added)
 
     @cached_property
     def stiffness(self) -> float:
-        """Restoring moment [N m] of weight and buoyancy at a right angle."""
+        """Restoring moment [N m] of weight and buoyancy at 90 degrees."""
         return float(self.rigid[0, 0] * GRAVITY * CG_BELOW)
 
     def placed(self, states: Array) -> Array:
-        """Return the rows, shape (size, n), of vehicles at rest but for x, y, psi, u, v, r, shape (6, n)."""
+        """Return the rows, shape (size, n), for x, y, psi, u, v, r of shape (6, n); all other states are zero."""
         rows = np.zeros((self.size, states.shape[1]))
         rows[[0, 1, 5, 6, 7, 11]] = states
         return rows
@@ -185,7 +187,7 @@ class Remus100:
     def actuation(self, s: SpatialMotion, a: _Actuators, ns: Namespace) -> tuple[Number, ...]:
         """Return the forces [N] and moments [N m] of propeller, rudder and stern planes."""
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
-        level_2, upright_2 = s.u * s.u + s.v * s.v, s.u * s.u + s.w * s.w  # [m^2/s^2] at rudder and planes
+        level_2, upright_2 = s.u * s.u + s.v * s.v, s.u * s.u + s.w * s.w  # [m^2/s^2] of the flow at rudder and planes
         n, k = a.rpm / 60.0, 0.5 * _DENSITY * FIN_AREA
         T = (1 - DEDUCTION) * _DENSITY * _PROPELLER**4 * propeller(n, WAKE * speed, KT_0, KT_J, ns)
         Q = _DENSITY * _PROPELLER**5 * propeller(n, WAKE * speed, KQ_0, KQ_J, ns)
@@ -194,11 +196,11 @@ class Remus100:
         X = T + Y * a.rudder + Z * a.plane
         return X, self.side_force * Y, Z, TORQUE_SHARE * Q, _NOSE * Z, -_NOSE * Y
 
-    def hull(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
-        """Return drag, lift and restoring forces [N] and moments [N m] of the hull."""
+    def body_forces(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
+        """Return drag, lift and restoring forces [N] and moments [N m] of the body."""
         M, W = np.diag(self.masses), self.stiffness
         speed_2 = s.u * s.u + s.v * s.v + s.w * s.w
-        fading = ns.exp(-_FADING * ns.sqrt(speed_2))
+        decay = ns.exp(-_DECAY * ns.sqrt(speed_2))
         incidence = ns.arctan2(s.w, s.u)
         aspect = DIAMETER**2 / DRAG_AREA
         lift = math.pi * aspect / (1 + math.sqrt(1 + (aspect / 2) ** 2)) * incidence  # Beard and McLain (2012)
@@ -209,8 +211,8 @@ class Remus100:
         Y, N = cross_flow(s.v, s.r, _LENGTH, DIAMETER, DIAMETER, _DENSITY, self.crossed)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
         return (
-            d.d_u * (n * lift - c * drag - M[0] / T_SURGE * fading * s.u) - d.X_uu * abs(s.u) * s.u,
-            d.d_v * (Y - M[1] / _T_SWAY * fading * s.v) - d.Y_vv * abs(s.v) * s.v,
+            d.d_u * (n * lift - c * drag - M[0] / T_SURGE * decay * s.u) - d.X_uu * abs(s.u) * s.u,
+            d.d_v * (Y - M[1] / _T_SWAY * decay * s.v) - d.Y_vv * abs(s.v) * s.v,
             -n * drag - c * lift - M[2] / _T_SWAY * s.w,
             -roll * s.p - W * ns.cos(s.theta) * ns.sin(s.phi),
             -pitch * s.q - W * ns.sin(s.theta),
@@ -218,9 +220,9 @@ class Remus100:
         )
 
     def coriolis(self, nu: Vector, d: Deviation, ns: Namespace) -> list[Number]:
-        """Return C(nu) nu [N], [N m], without what the source leaves out for stability.
+        """Return C(nu) nu [N], [N m], without the terms that the source leaves out for stability.
 
-        Of the added mass that is the Munk moment, what goes with it in sway and surge, and the same of pitching.
+        These are terms of the added mass: the Munk moments in yaw and in pitch, and the corresponding forces.
         """
         scale = mass_scale(d, ns)
         moved = [s * x for s, x in zip(scale, nu, strict=True)]
@@ -231,31 +233,33 @@ class Remus100:
         kept = 0.0, -a[2] * p, a[1] * p, v * a[2] - w * a[1] + turning[0], turning[1], turning[2]
         return [x + y for x, y in zip(coriolis(momentum, nu), kept, strict=True)]
 
-    def orders(self, first: Vector, outside: Outside, ns: Namespace) -> list[Number]:
-        """Return rudder, stern planes [rad] and revolutions [1/min] for the force and the depth that are wanted.
+    def orders(self, first: Vector, inputs: Inputs, ns: Namespace) -> list[Number]:
+        """Return rudder, stern planes [rad] and revolutions [1/min] for the commanded force and depth 0.
 
-        The depth, 0, is held by the source's autopilot: PI of depth to a pitch angle, PID of that to the planes.
+        The autopilot of the source controls the depth: PI control from depth to pitch, and PID control to the planes.
         """
         s, a = SpatialMotion(*first[:12]), _Actuators(*first[12:])
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
         plane = KP_THETA * pitch_error(s, a) + KD_THETA * s.q + KI_THETA * a.theta_integral + K_W * s.w
         return [
-            rudder(outside.F_r, ns.sqrt(s.u * s.u + s.v * s.v), ns),
+            rudder(inputs.F_r, ns.sqrt(s.u * s.u + s.v * s.v), ns),
             ns.clip(plane, -FIN_MOST, FIN_MOST),
-            revolutions(outside.F_u, WAKE * speed, ns),
+            revolutions(inputs.F_u, WAKE * speed, ns),
         ]
 
-    def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> list[Number]:
+    def rates(self, rows: Vector, orders: Vector, inputs: Inputs, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
         s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
-        load = (outside.X, outside.Y, 0.0, 0.0, 0.0, outside.N)
-        parts = zip(self.actuation(s, a, ns), self.hull(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True)
-        forces = [acting + hull + other - turned for acting, hull, other, turned in parts]
-        times_s = FIN_LAG, FIN_LAG, self.propeller_lag
+        load = (inputs.X, inputs.Y, 0.0, 0.0, 0.0, inputs.N)
+        parts = zip(
+            self.actuation(s, a, ns), self.body_forces(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True
+        )
+        forces = [acting + body + other - turning for acting, body, other, turning in parts]
+        lags = FIN_LAG, FIN_LAG, self.propeller_lag
         return [
-            *place_rates(s, (outside.V_x, outside.V_y), ns),
+            *place_rates(s, (inputs.V_x, inputs.V_y), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
-            *((order - now) / lag for order, now, lag in zip(orders, a, times_s, strict=False)),
+            *((order - now) / lag for order, now, lag in zip(orders, a, lags, strict=False)),
             s.z,
             pitch_error(s, a),
         ]
@@ -270,4 +274,4 @@ REMUS100_VARIANTS = {
     "no yaw drag of a sideslip": Remus100(crossed=False),
     "none of the three": Remus100(FIN_LAG, 0.0, False),
 }
-"""The vehicle without what may make the difference to the plane."""
+"""The vehicle with and without the effects that may explain the difference to the plane."""

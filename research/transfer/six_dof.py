@@ -1,4 +1,4 @@
-"""What vehicles of six degrees of freedom have in common, component by component, so that it can be compiled.
+"""Common equations of vehicles with six degrees of freedom, component by component, so that they can be compiled.
 
 Axes are those of T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., Wiley 2021: x north,
 y east, z down; the body's x ahead, y to starboard, z down; roll phi, pitch theta, yaw psi in the order zyx.
@@ -19,14 +19,14 @@ Vector: TypeAlias = Sequence[Number]
 _Matrix: TypeAlias = Sequence[Sequence[float]]
 
 GRAVITY = 9.81  # [m/s^2]
-STRIPS = 20  # parts of the hull whose ends make cross-flow drag, as in the sources
+STRIPS = 20  # strips of the body for the cross-flow drag, as in the sources
 _HOERNER = ((0.4933, 1.2108), (0.5585, 1.0836), (0.6464, 0.9986))
-"""Drag coefficient of a section across its flow by half its beam over its draft: Hoerner's curve, Fossen (2021),
-section 6.4, as PythonVehicleSimulator has digitised it, about the sections that are used."""
+"""Cross-flow drag coefficient of a section against half its beam over its draft: the part of Hoerner's curve, Fossen
+(2021), section 6.4, that is needed, as digitised in PythonVehicleSimulator."""
 
 
 class SpatialMotion(NamedTuple):
-    """Place, attitude and velocity: floats, or rows of shape (N,)."""
+    """Position, attitude and velocity: floats, or rows of shape (N,)."""
 
     x: Number  # [m]
     y: Number  # [m]
@@ -42,20 +42,20 @@ class SpatialMotion(NamedTuple):
     r: Number  # [rad/s]
 
 
-class Outside(NamedTuple):
-    """What acts from outside during a step: floats, or rows of shape (N,)."""
+class Inputs(NamedTuple):
+    """Inputs of a vehicle during a step: floats, or rows of shape (N,)."""
 
-    F_u: Number  # [N] that is asked of the actuators
+    F_u: Number  # [N] commanded force
     F_r: Number  # [N m]
     V_x: Number  # [m/s] current
     V_y: Number  # [m/s]
-    X: Number  # [N] load on the hull
+    X: Number  # [N] load on the vehicle
     Y: Number  # [N]
     N: Number  # [N m]
 
 
 class Deviation(NamedTuple):
-    """How a vehicle differs from the published one: floats, or rows of shape (N,)."""
+    """Deviation of a vehicle from the published one: floats, or rows of shape (N,)."""
 
     m_u: Number  # factor of the inertia in surge, added mass included
     m_v: Number  # in sway and heave
@@ -63,7 +63,7 @@ class Deviation(NamedTuple):
     d_u: Number  # factor of the drag in surge
     d_v: Number  # in sway
     d_r: Number  # in yaw
-    X_uu: Number  # [kg/m] more quadratic drag
+    X_uu: Number  # [kg/m] additional quadratic drag
     Y_vv: Number  # [kg/m]
     N_rr: Number  # [kg m^2]
 
@@ -83,28 +83,28 @@ def skew(a: Vector) -> Array:
 
 
 def shifted(matrix: Array, r: Vector) -> Array:
-    """Return a matrix about a point r [m], of masses or stiffness, about the origin: H^T M H, Fossen (2021), (3.27)."""
+    """Return a mass or stiffness matrix about a point r [m], moved to the origin: H^T M H, Fossen (2021), (3.27)."""
     H = np.eye(6)
     H[:3, 3:] = -skew(r)
     return np.asarray(H.T @ matrix @ H)
 
 
 def coriolis(momentum: Vector, nu: Vector) -> tuple[Number, ...]:
-    """Return C(nu) nu for the momentum M nu of a body, Kirchhoff's equations, Fossen (2021), theorem 3.2."""
+    """Return C(nu) nu for the momentum M nu of a body: Kirchhoff's equations, Fossen (2021), theorem 3.2."""
     linear, angular, v, omega = momentum[:3], momentum[3:], nu[:3], nu[3:]
     moment = (a + b for a, b in zip(cross(v, linear), cross(omega, angular), strict=True))
     return *cross(omega, linear), *moment
 
 
 def times(matrix: _Matrix, vector: Vector) -> list[Number]:
-    """Return a constant matrix times a vector; what is zero in the matrix costs nothing."""
+    """Return a constant matrix times a vector; zeros of the matrix cost nothing."""
     return [dot(row, vector) for row in matrix]
 
 
 def place_rates(s: SpatialMotion, current: Vector, ns: Namespace) -> tuple[Number, ...]:
-    """Return the time derivative of place [m/s] and attitude [rad/s], Fossen (2021), (2.31) and (2.41)."""
+    """Return the time derivatives of position [m/s] and attitude [rad/s], Fossen (2021), (2.31) and (2.41)."""
     c_phi, s_phi, c_th, s_th, c_psi, s_psi = (f(a) for a in (s.phi, s.theta, s.psi) for f in (ns.cos, ns.sin))
-    across = s.v * c_phi - s.w * s_phi  # of the velocity, level
+    across = s.v * c_phi - s.w * s_phi  # level component of the velocity
     down = s.v * s_phi + s.w * c_phi
     ahead = s.u * c_th + down * s_th
     turn = s.q * s_phi + s.r * c_phi
@@ -119,17 +119,17 @@ def place_rates(s: SpatialMotion, current: Vector, ns: Namespace) -> tuple[Numbe
 
 
 def level(s: SpatialMotion, ns: Namespace) -> tuple[Number, ...]:
-    """Return x, y [m], psi [rad], u, v [m/s] relative to the water, psi' [rad/s]; level, along the heading."""
+    """Return x, y [m], psi [rad], level u, v [m/s] along the heading and relative to the water, psi' [rad/s]."""
     x_dot, y_dot, _, _, _, psi_dot = place_rates(s, (0.0, 0.0), ns)
     c, n = ns.cos(s.psi), ns.sin(s.psi)
     return s.x, s.y, s.psi, c * x_dot + n * y_dot, c * y_dot - n * x_dot, psi_dot
 
 
 def section_drag(beam: float, draft: float) -> float:
-    """Return the drag coefficient of a section across its flow.
+    """Return the cross-flow drag coefficient of a section.
 
     Raises:
-        ValueError: the digitised part of the curve does not reach so far.
+        ValueError: the section is outside the digitised part of the curve.
     """
     half, known = beam / (2 * draft), np.array(_HOERNER).T
     if not known[0, 0] <= half <= known[0, -1]:
@@ -140,16 +140,16 @@ def section_drag(beam: float, draft: float) -> float:
 def cross_flow(
     v: Number, r: Number, length: float, beam: float, draft: float, density: float, crossed: bool = True
 ) -> tuple[Number, Number]:
-    """Return sway force [N] and yaw moment [N m] of the flow across a hull, by strips; Fossen (2021), section 6.4.
+    """Return sway force [N] and yaw moment [N m] of the cross flow by strip theory, Fossen (2021), section 6.4.
 
     Args:
         v: sway velocity [m/s] relative to the water.
         r: yaw rate [rad/s].
-        length: of the hull [m].
-        beam: of a section [m].
-        draft: of a section [m].
-        density: of the water [kg/m^3].
-        crossed: whether a sideslip changes the yaw drag and a turn the sway drag, as they do.
+        length: length of the body [m].
+        beam: beam of a section [m].
+        draft: draft of a section [m].
+        density: density of the water [kg/m^3].
+        crossed: whether the cross terms are included: yaw drag from a sideslip and sway drag from a turn.
     """
     k = 0.5 * density * draft * section_drag(beam, draft) * length / STRIPS
     Y: Number = 0.0
@@ -162,13 +162,13 @@ def cross_flow(
 
 
 def solved(inverse: _Matrix, forces: Vector, scale: Vector) -> list[Number]:
-    """Return the accelerations of forces, for masses S M S with the inverse of M and the diagonal of S."""
+    """Return the accelerations under forces for the mass matrix S M S, from the inverse of M and the diagonal of S."""
     shares = [f / s for f, s in zip(forces, scale, strict=True)]
     return [a / s for a, s in zip(times(inverse, shares), scale, strict=True)]
 
 
 def mass_scale(d: Deviation, ns: Namespace) -> tuple[Number, ...]:
-    """Return the diagonal of S, with S M S the masses of a vehicle that deviates."""
+    """Return the diagonal of S, where S M S is the mass matrix of a vehicle with a deviation."""
     a, b, c = ns.sqrt(d.m_u), ns.sqrt(d.m_v), ns.sqrt(d.m_r)
     return a, b, b, c, c, c
 

@@ -1,11 +1,12 @@
 """Count how often the intervals of an identification hold what is true: `python -m research identification-coverage`.
 
-Logs of a minute are simulated with noise, each with another, and a vehicle is fitted to each. docs/identify.md shows
-the counts.
+Logs of a minute are simulated with noise, each with another, and a vehicle is fitted to each. Others are simulated with
+effects that the model does not have: it is counted how often the misfit is reported. docs/identify.md shows the counts.
 """
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,9 +21,9 @@ from auv_gym.scenarios.presets import PRESETS
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import COEFFICIENTS, FITTED_PARAMETERS, LIMIT_NAMES
+from baselines.identification.model import COEFFICIENTS, CROSS_FLOW, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
-from baselines.identification.trials import EXAMPLE_CURRENT, example
+from baselines.identification.trials import EXAMPLE_CURRENT, Simulated, Trial, example, recorded
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DOCS
@@ -33,6 +34,16 @@ _VEHICLES = {
     "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
 }
 """Whose logs are simulated."""
+_ARM = 1.0  # [m]
+_OUTSIDE = {
+    "side force of the rudder": Simulated(PAPER_VEHICLE, EXAMPLE, EXAMPLE_CURRENT, _ARM),
+    "rate limits of the actuators": Simulated(
+        PAPER_VEHICLE, replace(EXAMPLE, F_u_rate=200.0, F_r_rate=100.0), EXAMPLE_CURRENT
+    ),
+}
+"""Plants with effects that the model does not have."""
+_SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_FLOW)
+"""Parameters that are counted: what is fitted where the model explains the log."""
 _FILE = "identify.json"  # of what was counted, in docs/
 _NEAR = 0.05  # share of the true value within which a fitted one is near
 
@@ -45,7 +56,7 @@ class Options:
     """
 
     logs: int = 100
-    """Logs of each vehicle."""
+    """Logs of each vehicle; half as many of each effect that the model does not have."""
     out: Path = DOCS / _FILE
     """File for the counts."""
 
@@ -53,16 +64,17 @@ class Options:
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
     vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
-    truth = dict(zip(COEFFICIENTS, vehicle.coefficients, strict=True)) | dict(zip(V, EXAMPLE_CURRENT, strict=True))
+    truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
-    held, near = dict.fromkeys(FITTED_PARAMETERS, 0), dict.fromkeys(FITTED_PARAMETERS, 0)
-    errors: dict[str, list[float]] = {n: [] for n in FITTED_PARAMETERS}
-    unknown, whole = dict.fromkeys(FITTED_PARAMETERS, 0), 0
+    held, near = dict.fromkeys(_SHOWN, 0), dict.fromkeys(_SHOWN, 0)
+    errors: dict[str, list[float]] = {n: [] for n in _SHOWN}
+    unknown, whole, misfit = dict.fromkeys(_SHOWN, 0), 0, 0
     begin = time.process_time()
     for seed in range(logs):
-        found = identify(example(vehicle, EXAMPLE, sensors, seed)).estimates
+        found = identify(example(vehicle, EXAMPLE, sensors, seed))
+        misfit += found.misfit
         good = []
-        for e in found:
+        for e in map(found.__getitem__, _SHOWN):
             inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
             good.append(inside or error <= _NEAR * abs(truth[e.name]))
             held[e.name] += inside
@@ -80,9 +92,19 @@ def _counted(name: str, logs: int) -> dict[str, Any]:
             "median": float(np.median(errors[n])),
             "worst": max(errors[n]),
         }
-        for n in FITTED_PARAMETERS
+        for n in _SHOWN
     }
-    return {"logs": logs, "processor_s": seconds, "whole": whole, "parameters": rows}
+    return {"logs": logs, "processor_s": seconds, "whole": whole, "misfit": misfit, "parameters": rows}
+
+
+def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
+    """Return in how many logs of a plant that the model does not describe the misfit is reported."""
+    sensors, misfit = PRESETS["cruise-noise"].sensors, 0
+    for seed in range(logs):
+        rng = np.random.default_rng(seed)
+        log = recorded(copy.deepcopy(plant), Trial(EXAMPLE.F_u_max, EXAMPLE.F_r_max), sensors, rng, EXAMPLE_CURRENT)
+        misfit += identify(log).misfit
+    return {"logs": logs, "misfit": misfit}
 
 
 def _table(record: Mapping[str, Any]) -> str:
@@ -105,7 +127,16 @@ def _table(record: Mapping[str, Any]) -> str:
 
 def coverage_section() -> str:
     """Return the part of docs/identify.md about the logs of each vehicle."""
-    return "\n".join(_of_vehicle(*record) for record in read_json(DOCS / _FILE).items())
+    records = read_json(DOCS / _FILE)
+    return "\n".join([_of_misfit(records), *(_of_vehicle(name, records[name]) for name in _VEHICLES)])
+
+
+def _of_misfit(records: Mapping[str, Any]) -> str:
+    """Return the part about how often the misfit is reported."""
+    lines = ["| logs | misfit reported |", "|---|---|"]
+    for name, record in records.items():
+        lines.append(f"| {name} | {_share([record['misfit']], record['logs'])} |")
+    return "\n".join(lines) + "\n"
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
@@ -137,10 +168,14 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.logs < 1:
         raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
-    records = {}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    records: dict[str, Any] = {}
     for name in _VEHICLES:
         records[name] = _counted(name, options.logs)
         print(_of_vehicle(name, records[name]), flush=True)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(options.out, json_text(records))
+        write_atomically(options.out, json_text(records))
+    for name, plant in _OUTSIDE.items():
+        records[name] = _misfits(plant, max(options.logs // 2, 1))
+        write_atomically(options.out, json_text(records))
+    print(_of_misfit(records))
     return DONE

@@ -1,4 +1,4 @@
-"""The ids of the scenarios, and the vector environments in every autoreset mode, held against Gymnasium's own."""
+"""Ids of the presets, and vector environments in all autoreset modes, compared with those of Gymnasium."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ MIXED = [*SHORT, FAILED_START]
 
 
 def both(task, mode, backend="numpy", **options):
-    """Return the native environment and Gymnasium's own around scalar ones."""
+    """Return the vector environment, and that of Gymnasium around scalar environments."""
     native = gym.make_vec(
         f"{task}-v0",
         num_envs=len(MIXED),
@@ -39,21 +39,21 @@ def both(task, mode, backend="numpy", **options):
     return native, SyncVectorEnv([maker(scenario) for scenario in MIXED], autoreset_mode=mode)
 
 
-def plain(value):
+def as_array(value):
     return value.numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
 
 
 def assert_same(native, own):
-    """Compare what `reset` or `step` returns: observation, reward, ends and info."""
+    """Compare the results of `reset` or `step`: observation, reward, ends and info."""
     for a, b in zip(native[:-1], own[:-1], strict=True):
-        np.testing.assert_allclose(plain(a).astype(float), np.asarray(b, dtype=float), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(as_array(a).astype(float), np.asarray(b, dtype=float), rtol=0, atol=1e-12)
     infos, own_infos = native[-1], own[-1]
     for key in ("position_error", "saturated", "time"):
-        np.testing.assert_allclose(plain(infos[key]).astype(float), own_infos[key].astype(float), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(as_array(infos[key]).astype(float), own_infos[key].astype(float), rtol=0, atol=1e-12)
     assert ("final_obs" in infos) == ("final_obs" in own_infos)
     if "final_obs" in own_infos:
         for i in np.flatnonzero(own_infos["_final_obs"]):
-            np.testing.assert_allclose(plain(infos["final_obs"][i]), own_infos["final_obs"][i], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(as_array(infos["final_obs"][i]), own_infos["final_obs"][i], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -63,11 +63,11 @@ def assert_same(native, own):
         (TASKS[0], "numpy", {}),
         (TASKS[1], "numpy", {"authority": 0.3}),
         (TASKS[1], "numpy", {"expert": "integral"}),  # an expert with memory
-        (TASKS[0], "torch", {}),
-        (TASKS[1], "torch", {"authority": 0.3}),
+        pytest.param(TASKS[0], "torch", {}, marks=pytest.mark.slow),
+        pytest.param(TASKS[1], "torch", {"authority": 0.3}, marks=pytest.mark.slow),
     ],
 )
-def test_equals_gymnasiums_own_in_every_mode(task, backend, options, mode):
+def test_equals_the_vector_environment_of_gymnasium_in_every_mode(task, backend, options, mode):
     native, own = both(task, mode, backend, **options)
     assert native.metadata["autoreset_mode"] is native.autoreset_mode is mode
     assert_same(native.reset(seed=5), own.reset(seed=5))
@@ -76,17 +76,17 @@ def test_equals_gymnasiums_own_in_every_mode(task, backend, options, mode):
         actions = rng.uniform(-1, 1, (len(MIXED), 2)).astype(np.float32)
         stepped = native.step(actions)
         assert_same(stepped, own.step(actions))
-        over = (plain(stepped[2]) | plain(stepped[3])).astype(bool)
+        over = (as_array(stepped[2]) | as_array(stepped[3])).astype(bool)
         ends += over.sum()
         if over.any() and mode is AutoresetMode.DISABLED:
             with pytest.raises(ResetNeeded, match=str(np.flatnonzero(over).tolist()[0])):
                 native.step(actions)
-            begun, own_begun = (env.reset(options={"reset_mask": over}) for env in (native, own))
-            np.testing.assert_allclose(plain(begun[0]), own_begun[0], rtol=0, atol=1e-12)
+            started, own_started = (env.reset(options={"reset_mask": over}) for env in (native, own))
+            np.testing.assert_allclose(as_array(started[0]), own_started[0], rtol=0, atol=1e-12)
     assert ends >= 8
 
 
-def test_modes_are_given_by_name_too_and_unknown_ones_are_refused():
+def test_modes_by_name_and_unknown_modes():
     env = gym.make_vec(f"{TASKS[0]}-v0", 2, "vector_entry_point", autoreset_mode="NextStep")
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert type(env.unwrapped).metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
@@ -105,7 +105,7 @@ def test_modes_are_given_by_name_too_and_unknown_ones_are_refused():
         wrappers.ClipAction,
     ],
 )
-def test_gymnasiums_vector_wrappers_accept_it_as_their_own(wrap):
+def test_vector_wrappers_of_gymnasium(wrap):
     native, own = (wrap(env) for env in both(TASKS[0], AutoresetMode.NEXT_STEP))
     np.testing.assert_allclose(native.reset(seed=3)[0], own.reset(seed=3)[0], rtol=0, atol=1e-10)
     for _ in range(30):
@@ -114,7 +114,7 @@ def test_gymnasiums_vector_wrappers_accept_it_as_their_own(wrap):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-10)
 
 
-def test_each_scenario_has_an_id_with_its_length():
+def test_each_preset_has_an_id_with_its_length():
     assert {name: scenario.steps for name, scenario in PRESETS.items()} == STEPS
     for task in TASKS:
         for name, steps in STEPS.items():
@@ -131,7 +131,7 @@ def test_each_scenario_has_an_id_with_its_length():
     assert (len(ends), ends[-1]) == (600, (False, True))
 
 
-def test_an_id_of_a_scenario_makes_vector_environments():
+def test_an_id_of_a_preset_makes_vector_environments():
     options = {"num_envs": 2, "vectorization_mode": "vector_entry_point"}
     for task in TASKS:
         env, same = (
@@ -143,7 +143,7 @@ def test_an_id_of_a_scenario_makes_vector_environments():
 
 
 @pytest.mark.parametrize("backend", ["numpy", "torch"])
-def test_fewer_steps_truncate_vectors_as_a_time_limit_does(backend):
+def test_max_episode_steps_truncates_vector_environments(backend):
     env = gym.make_vec(f"{TASKS[0]}-slow-calm-v0", 2, "vector_entry_point", max_episode_steps=3, backend=backend)
     env.reset(seed=0)
     ends = [bool(env.step(np.zeros((2, 2), dtype=np.float32))[3].all()) for _ in range(6)]
@@ -152,7 +152,7 @@ def test_fewer_steps_truncate_vectors_as_a_time_limit_does(backend):
         gym.make_vec(f"{TASKS[0]}-v0", 2, "vector_entry_point", max_episode_steps=0)
 
 
-def test_ids_are_registered_once_and_import_no_scenario():
+def test_ids_are_registered_once_without_import_of_scenarios():
     code = (
         "import importlib, sys, auv_gym; importlib.reload(auv_gym); print('auv_gym.scenarios.scenario' in sys.modules)"
     )

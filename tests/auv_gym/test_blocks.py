@@ -1,4 +1,4 @@
-"""Kernels block by block do what others do, for any number of vehicles; matrices of symbols are those of NumPy."""
+"""Blocked kernels give the results of plain ones for any number of vehicles; matrices of symbols those of NumPy."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from auv_gym.codegen.matrices import congruence, diagonal, product, symmetric, t
 COMPILED = native.compiler() is not None and native.wanted()
 
 
-def swinging(state, push, total):
-    """An equation with arrays of every kind: carried, over time, of the last step."""
+def pendulum(state, push, total):
+    """Return arrays of every kind: carried from step to step, with values for each step, of the last step."""
     x, v = state
     a = push[0] - SYMBOLS.sin(x) - 0.1 * abs(v) * v
     v = v + 0.1 * a
@@ -22,26 +22,26 @@ def swinging(state, push, total):
 
 @pytest.mark.parametrize("back", [False, True])
 @pytest.mark.parametrize("n", [1, 7, 8, 21])
-def test_blocks_are_what_they_are_made_of(n, back):
+def test_blocked_kernels_give_the_results_of_plain_ones(n, back):
     rng = np.random.default_rng(n)
     given = {"state": rng.normal(size=(2, n)), "push": rng.normal(size=(6, 1, n)), "total": np.zeros((1, n))}
     rows = {"state": 2, "push": 1, "total": 1}
     plain, blocked = (
-        Kernel.traced(swinging, rows, ["push", "seen"], back=back, blocked=blocked)(6, **given)
+        Kernel.traced(pendulum, rows, ["push", "seen"], back=back, blocked=blocked)(6, **given)
         for blocked in (False, True)
     )
     for name, expected in plain.items():
         np.testing.assert_array_equal(blocked[name], expected)
     if n > 1:
         alone = {name: a[..., :1] for name, a in given.items()}
-        one = Kernel.traced(swinging, rows, ["push", "seen"], back=back, blocked=True)(6, **alone)
+        one = Kernel.traced(pendulum, rows, ["push", "seen"], back=back, blocked=True)(6, **alone)
         for name, expected in blocked.items():
             np.testing.assert_allclose(one[name], expected[..., :1], rtol=0.0 if COMPILED else 1e-12)
 
 
 def test_no_steps_change_nothing():
     given = {"state": np.ones((2, 3)), "push": np.ones((6, 1, 3)), "total": np.zeros((1, 3))}
-    kernel = Kernel.traced(swinging, {"state": 2, "push": 1, "total": 1}, ["push", "seen"], blocked=True)
+    kernel = Kernel.traced(pendulum, {"state": 2, "push": 1, "total": 1}, ["push", "seen"], blocked=True)
     arrays = {**given, "seen": np.full((6, 3, 3), 7.0), "still": np.full((1, 3), 7.0)}
     kernel.bound(**arrays)(0, 0)
     assert (arrays["state"] == 1.0).all()
@@ -49,7 +49,7 @@ def test_no_steps_change_nothing():
     assert (arrays["still"] == 7.0).all()
 
 
-def test_matrices_are_those_of_numpy():
+def test_matrix_operations_agree_with_numpy():
     rng = np.random.default_rng(0)
     A, B, P = rng.normal(size=(3, 4)), rng.normal(size=(4, 2)), rng.normal(size=(4, 4))
     A[0, 1:], A[2, 2] = 0.0, 0.0
@@ -61,7 +61,7 @@ def test_matrices_are_those_of_numpy():
     assert not any(map(any, product([[0.0, 0.0]], [[1.0], [2.0]])))
 
 
-def test_what_is_zero_costs_nothing():
+def test_zeros_need_no_operations():
     def equation(p):
         return {"q": triangle(congruence([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], symmetric(p)))}
 

@@ -1,4 +1,4 @@
-"""Vehicles and currents that change in the middle of an episode of the vector environment."""
+"""Changes of the vehicle and the current during an episode of the vector environment."""
 
 import math
 from dataclasses import replace
@@ -20,8 +20,8 @@ def changing(scenario, n=2):
     return env, episodes
 
 
-def test_a_vehicle_that_changes_moves_as_the_other_one_from_then_on():
-    """Against the paper's equations with the new numbers, by another integrator; the same again changes nothing."""
+def test_a_changed_vehicle_satisfies_the_new_equations():
+    """Compared with the equations of the paper and another integrator; a change to the same episode has no effect."""
     calm = replace(PRESETS["cruise-calm"], control_dt=0.02)
     (env, episodes), (other, _) = changing(calm), changing(calm)
     v = replace(PAPER_VEHICLE, m11=300.0, m22=390.0, m33=120.0, d11=140.0)
@@ -51,17 +51,17 @@ def test_a_vehicle_that_changes_moves_as_the_other_one_from_then_on():
     np.testing.assert_allclose(env.state[0], end, atol=1e-6)
 
 
-def test_other_water_begins_without_a_jump_of_the_vehicle():
-    current = replace(PRESETS["cruise-current"].current, shear=(0.0, 0.0))  # so that the current may step
+def test_a_step_of_the_current_keeps_the_velocity_over_ground():
+    current = replace(PRESETS["cruise-current"].current, shear=(0.0, 0.0))  # shear allows a step of the current
     still = replace(PRESETS["cruise-noise"], current=current)
     env, episodes = changing(still)
     env.step(np.zeros((2, 2), dtype=np.float32))
     before, current = env.state, env.current
-    shear = (0.2, -0.1, 0.0, 0.0, 0.5 * math.pi)  # of no wave number: the same current everywhere
+    shear = (0.2, -0.1, 0.0, 0.0, 0.5 * math.pi)  # zero wave number: a uniform current
     env.change([replace(e, current=replace(e.current, shear=shear)) for e in episodes])
     np.testing.assert_allclose(env.state, before, atol=1e-12)
     np.testing.assert_allclose(env.current - current, [(0.2, -0.1)] * 2)
-    with pytest.raises(ValueError, match="1 episodes are given for 2 vehicles"):
+    with pytest.raises(ValueError, match="1 episodes are given; there must be one for each of 2"):
         env.change(episodes[:1])
     calm, others = changing(PRESETS["cruise-calm"])
     with pytest.raises(ValueError, match="sheared current"):

@@ -1,4 +1,4 @@
-"""Equations as data: the printed forms give the equation's own numbers, derivatives those of torch."""
+"""Code generation: printed code gives the numbers of the equation, and derivatives are those of torch."""
 
 import functools
 import math
@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_gym.codegen import native
-from auv_gym.codegen.derivatives import PULLS, directional, gradient, jacobian
+from auv_gym.codegen.derivatives import PULLBACKS, directional, gradient, jacobian
 from auv_gym.codegen.elementary import sine_cosine
-from auv_gym.codegen.graph import EXACT, SYMBOLS, TRUTHS, Graph, single
+from auv_gym.codegen.graph import OPERATIONS, SYMBOLS, TRUTHS, Graph, single
 from auv_gym.codegen.kernel import Kernel, together
 from auv_gym.codegen.printing import NUMPY, PYTHON
 from auv_gym.physics.dynamics import rk4_step
@@ -33,7 +33,7 @@ needs_compiler = pytest.mark.skipif(
 )
 
 
-OPERATIONS = (
+TERMS = (
     lambda x, y, z, ns: x + y,
     lambda x, y, z, ns: x - y,
     lambda x, y, z, ns: wrap_angle(x * y, ns),
@@ -54,11 +54,11 @@ OPERATIONS = (
 
 
 def computed(program, inputs, ns, number=float):
-    """Run a random program of operations on numbers or symbols; everything stays finite."""
+    """Return the results of a random program of operations on numbers or symbols; all values are finite."""
     values = [*inputs, *map(number, (0.5, -2.0, 1.0, 0.0))]
     for operation, *places in program:
         x, y, z = (values[n % len(values)] for n in places)
-        values.append(OPERATIONS[operation](x, y, z, ns))
+        values.append(TERMS[operation](x, y, z, ns))
     return values[-3:]
 
 
@@ -72,17 +72,17 @@ def random_programs(rng, count, length):
 
 @settings(deadline=None, max_examples=150)
 @given(PROGRAMS, st.lists(NUMBERS, min_size=3, max_size=3))
-def test_printed_python_is_the_equation_bit_for_bit(program, inputs):
+def test_printed_python_gives_the_bits_of_the_equation(program, inputs):
     kernel = kernel_of(program)
     expected = [float(y).hex() for y in computed(program, inputs, FLOATS)]
     assert [float(y).hex() for y in kernel._on_floats(inputs)] == expected
 
 
-def test_printed_numpy_is_the_equation_on_arrays():
-    """But for the last digits: constants are folded by the C library, whose sine is not NumPy's."""
+def test_printed_numpy_gives_the_numbers_of_the_equation():
+    """The last digits differ: constants are folded with the C library, whose sine differs from NumPy's."""
     rng = np.random.default_rng(2)
     for program in random_programs(rng, 40, 25):
-        smooth = [step for step in program if step[0] not in (2, 9)]  # without steps of floor
+        smooth = [step for step in program if step[0] not in (2, 9)]  # without floor, which is discontinuous
         rows = rng.uniform(-3, 3, (3, 5))
         with np.errstate(all="ignore"):
             printed = [np.broadcast_to(y, 5) for y in kernel_of(smooth)._on_rows(rows)]
@@ -91,8 +91,8 @@ def test_printed_numpy_is_the_equation_on_arrays():
 
 
 @needs_compiler
-def test_compiled_code_is_the_printed_one_bit_for_bit():
-    """Sine and cosine are made of products and sums here, so that every form of the graph computes the same."""
+def test_compiled_code_gives_the_bits_of_printed_python():
+    """Sine and cosine are expanded to products and sums, so every form of the graph computes the same."""
     rng = np.random.default_rng(0)
     ns = replace(
         SYMBOLS,
@@ -100,7 +100,7 @@ def test_compiled_code_is_the_printed_one_bit_for_bit():
         cos=lambda x: sine_cosine(x, "float64", SYMBOLS)[1],
     )
     for drawn in random_programs(rng, 12, 40):
-        program = [step for step in drawn if step[0] != 13]  # exp is the C library's
+        program = [step for step in drawn if step[0] != 13]  # exp differs: printed Python calls that of the C library
         kernel = Kernel.traced(lambda given, p=program: {"out": computed(p, given, ns)}, {"given": 3})
         given = rng.uniform(-9, 9, (3, 37))
         out = kernel(given=given)["out"]
@@ -111,7 +111,7 @@ def test_compiled_code_is_the_printed_one_bit_for_bit():
 
 
 @pytest.mark.parametrize(("precision", "largest", "tolerance"), [("float64", 1e4, 1e-15), ("float32", 500.0, 2e-7)])
-def test_sine_and_cosine_are_exact_to_the_last_digits(precision, largest, tolerance):
+def test_errors_of_sine_and_cosine(precision, largest, tolerance):
     kernel = Kernel.traced(
         lambda angle: {"out": (SYMBOLS.sin(angle[0]), SYMBOLS.cos(angle[0]))}, {"angle": 1}, precision=precision
     )
@@ -122,7 +122,7 @@ def test_sine_and_cosine_are_exact_to_the_last_digits(precision, largest, tolera
     exact = [[float(f(mpmath.mpf(float(x)))) for x in angles] for f in (mpmath.sin, mpmath.cos)]
     np.testing.assert_allclose(out, exact, rtol=0, atol=tolerance)
     own = sine_cosine(np.array([1e300, 1e18, -1e9]), "float64", ARRAYS)
-    assert all((np.abs(x) <= 1.2).all() for x in own), "bounded far out"
+    assert all((np.abs(x) <= 1.2).all() for x in own), "bounded for large angles"
 
 
 def test_derivatives_are_those_of_autograd():
@@ -149,9 +149,9 @@ def test_derivatives_are_those_of_autograd():
         np.testing.assert_allclose(J @ direction, values[3:6], rtol=1e-12, atol=1e-12 * size)
 
 
-def test_every_operation_that_gives_a_number_has_a_derivative_and_every_form():
-    assert set(PULLS) == set(EXACT) - TRUTHS
-    assert set(PYTHON.forms) == set(NUMPY.forms) == set(EXACT)
+def test_every_operation_has_a_derivative_and_a_printed_form():
+    assert set(PULLBACKS) == set(OPERATIONS) - TRUTHS
+    assert set(PYTHON.forms) == set(NUMPY.forms) == set(OPERATIONS)
 
 
 def test_constants_are_folded_and_equal_expressions_merged():
@@ -168,7 +168,7 @@ def test_constants_are_folded_and_equal_expressions_merged():
         graph.constant(-0.0).index,
     )
     assert ((x < y) | True).value is True
-    assert (x * 0.0).value is None, "an infinite x would give no number"
+    assert (x * 0.0).value is None, "nan for an infinite x"
     sparse = Graph(structural=True)
     z = sparse.input("z")
     assert (z * 0.0).value == 0.0
@@ -182,7 +182,7 @@ def test_constants_are_folded_and_equal_expressions_merged():
 
 @functools.cache
 def oscillator(back):
-    """A chain of steps, x' = x + h v, v' = v - h x + push, with what it passes through."""
+    """Return the kernel of x' = x + h v, v' = v - h x + push with results of every step and of the last."""
 
     def equation(z, h, push):
         x, v = z
@@ -215,7 +215,7 @@ def test_kernels_carry_rows_from_step_to_step(n, back):
 
 
 @pytest.mark.parametrize("n", [1, 5])
-def test_what_holds_for_all_vehicles_may_change_from_step_to_step(n):
+def test_shared_arguments_may_have_values_for_each_step(n):
     def equation(total, factor):
         return {"total": [total[0] + factor[0] * total[1], total[1] * factor[1]]}
 
@@ -229,20 +229,20 @@ def test_what_holds_for_all_vehicles_may_change_from_step_to_step(n):
 
 
 @needs_compiler
-def test_kernels_compiled_together_give_what_they_give_alone(cache):
+def test_kernels_compiled_together_give_the_same_results(cache):
     programs = random_programs(np.random.default_rng(7), 3, 20)
     given = np.random.default_rng(8).uniform(-3, 3, (3, 6))
     kernels = {f"program_{i}": kernel_of(program) for i, program in enumerate(programs)}
     call = "void first(const int64_t *at) { program_0(at, 0, 1); }\n"
     library = together(kernels, call)
     assert library.first
-    libraries = len([*cache.iterdir()])  # this one and that of the trial
+    libraries = len([*cache.iterdir()])  # of `together`, and of the trial
     for kernel, program in zip(kernels.values(), programs, strict=True):
         np.testing.assert_array_equal(kernel(given=given)["out"], kernel_of(program)(given=given)["out"])
-    assert len([*cache.iterdir()]) == libraries + 3  # the programs alone; those of `together` are not compiled again
+    assert len([*cache.iterdir()]) == libraries + 3  # those of the single programs
 
 
-def test_arrays_may_be_parts_of_larger_ones():
+def test_arrays_may_be_views_of_larger_arrays():
     rng, kernel = np.random.default_rng(4), oscillator(False)
     z, push, passed = rng.normal(size=(4, 9)), rng.normal(size=(7, 3, 9)), np.zeros((7, 5, 9))
     h, end = np.full((1, 9), 0.1), np.zeros((1, 9))
@@ -257,7 +257,7 @@ def test_arrays_may_be_parts_of_larger_ones():
     assert not passed[:, :, :3].any()
 
 
-def test_what_is_no_number_stays_none():
+def test_nan_is_propagated():
     kernel = Kernel.traced(
         lambda a: {"out": (SYMBOLS.clip(a[0], -1.0, 1.0), SYMBOLS.sin(a[0]), (a[0] <= 1.0) ^ True)}, {"a": 1}
     )
@@ -265,19 +265,19 @@ def test_what_is_no_number_stays_none():
         for value in (math.nan, math.inf):
             out = kernel(a=np.full((1, n), value))["out"]
             assert np.isnan(out[1]).all()
-            assert (out[2] == 1).all(), "beyond the bound, as everything that is not within it"
+            assert (out[2] == 1).all(), "nan is not within the bound"
         assert np.isnan(kernel(a=np.full((1, n), math.nan))["out"][0]).all()
 
 
 def test_wrong_arrays_are_refused():
     kernel, good = oscillator(False), np.zeros((2, 4))
     rest = {"h": np.zeros((1, 4)), "push": np.zeros((3, 1, 4)), "passed": np.zeros((3, 2, 4)), "end": np.zeros((1, 4))}
-    for z, says in (
+    for z, message in (
         (np.zeros((3, 4)), "shape"),
         (np.zeros((2, 4), dtype=np.float32), "float32"),
-        (np.zeros((4, 2)).T, "side by side"),
+        (np.zeros((4, 2)).T, "contiguous"),
     ):
-        with pytest.raises(ValueError, match=says):
+        with pytest.raises(ValueError, match=message):
             kernel.bound(z=z, **rest)
     with pytest.raises(ValueError, match="kernel takes arrays z, h, push"):
         kernel.bound(z=good)
@@ -293,8 +293,8 @@ def test_wrong_arrays_are_refused():
         ("floor", (-math.inf,)), ("floor", (-0.0,)), ("floor", (-1.5,)), ("single", (1e39,)), ("single", (0.1,)),
     ],
 )  # fmt: skip
-def test_constants_are_folded_as_numpy_computes_them(operation, values):
-    """And without a warning of NumPy's; the same function on floats, where a kernel runs without a compiler."""
+def test_constants_are_folded_as_in_numpy(operation, values):
+    """Without warnings of NumPy. A kernel that runs on floats without a compiler uses the same functions."""
     graph = Graph()
     folded = graph.apply(operation, *map(graph.constant, values)).value
     kernel = Kernel.traced(lambda a: {"out": [a[0].graph.apply(operation, *a)]}, {"a": len(values)})
@@ -306,7 +306,7 @@ def test_constants_are_folded_as_numpy_computes_them(operation, values):
     out = {"out": np.empty((1, 1))}
     kernel._on_one({"a": on_float, **out})(0, 1)
     for found in (folded, out["out"].item()):
-        np.testing.assert_equal(found, expected)  # tells 0 and -0 apart
+        np.testing.assert_equal(found, expected)  # distinguishes 0 and -0
 
 
 def test_a_kernel_that_has_run_can_be_pickled():
@@ -318,7 +318,7 @@ def test_a_kernel_that_has_run_can_be_pickled():
 
 
 def test_one_step_of_the_vehicle_as_a_kernel():
-    """The equations of motion, as C and as the floats that they are written for."""
+    """The equations of motion in C and on floats."""
 
     def equation(z):
         x, y, psi, u, v, r, dt = z

@@ -1,4 +1,4 @@
-"""Current, waves, mismatch and the tape: statistics over many episodes, independence of blocks and lanes, refusals."""
+"""Current, waves, mismatch and exogenous inputs: statistics, independence of blocks and of other sub-environments."""
 
 import math
 import random
@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.intervals import draw
 from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Line
 from auv_gym.planning.planner import plan
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 
-LANES, BLOCK, DT = 400, 64, 0.1
+N_ENVS, BLOCK, DT = 400, 64, 0.1
 NOISE, BIAS = (0.05, 0.05, 0.02, 0.01, 0.01, 0.004), (0.5, 0.5, -0.1, 0.2, 0.2, 0.03)
 SENSORS = Sensors(*(NOISE[k] for k in (0, 2, 3, 5)), *(BIAS[k] for k in (0, 2, 3, 5)), low_pass=None)
 SEA = Scenario(
@@ -38,32 +39,32 @@ def episodes(scenario, count, seed=0):
     return [scenario.draw(rng) for _ in range(count)]
 
 
-def wound(scenario, drawn):
-    tape = Tape(len(drawn), BLOCK)
-    for lane, episode in enumerate(drawn):
-        tape.load(lane, scenario, episode, TABLE)
-    return tape
+def loaded(scenario, drawn):
+    inputs = ExogenousInputs(len(drawn), BLOCK)
+    for i, episode in enumerate(drawn):
+        inputs.load(i, scenario, episode, TABLE)
+    return inputs
 
 
-def played(scenario, drawn, blocks):
-    """Return the samples of all lanes, shape (T, SAMPLE, lanes), read in blocks of these sizes."""
-    tape = wound(scenario, drawn)
-    return np.concatenate([tape.read(range(len(drawn)), n) for n in blocks])
+def read(scenario, drawn, blocks):
+    """Return the samples of N episodes, shape (T, SAMPLE, N), read in blocks of these sizes."""
+    inputs = loaded(scenario, drawn)
+    return np.concatenate([inputs.read(range(len(drawn)), n) for n in blocks])
 
 
 @pytest.fixture(scope="module")
 def sea():
-    return played(SEA, episodes(SEA, LANES), [BLOCK] * 15)
+    return read(SEA, episodes(SEA, N_ENVS), [BLOCK] * 15)
 
 
-def test_reference_is_the_plan_and_stays_at_its_end(sea):
+def test_reference_is_the_plan_and_its_end_is_repeated(sea):
     np.testing.assert_array_equal(sea[:, :8, 0], TABLE[: len(sea)])
-    tape = wound(SEA, episodes(SEA, 1))
-    rows = np.concatenate([tape.read([0], BLOCK)[:, :8, 0] for _ in range(17)])
+    inputs = loaded(SEA, episodes(SEA, 1))
+    rows = np.concatenate([inputs.read([0], BLOCK)[:, :8, 0] for _ in range(17)])
     np.testing.assert_array_equal(rows[len(TABLE) :], np.tile(TABLE[-1], (len(rows) - len(TABLE), 1)))
 
 
-def test_noise_is_white_with_its_deviation_and_bias(sea):
+def test_noise_is_white_with_its_standard_deviation_and_bias(sea):
     noise = sea[:, 13:19]
     np.testing.assert_allclose(noise.mean(axis=(0, 2)), BIAS, rtol=0, atol=0.01 * max(NOISE))
     np.testing.assert_allclose(noise.std(axis=(0, 2)), NOISE, rtol=0.01)
@@ -73,7 +74,7 @@ def test_noise_is_white_with_its_deviation_and_bias(sea):
 
 
 def test_gust_has_its_mean_deviation_and_correlation_time(sea):
-    """A process of time constant T behind a filter of s: covariance (T e^(-t/T) - s e^(-t/s)) T / (T^2 - s^2)."""
+    """A process of time constant T, filtered with s, has covariance (T e^(-t/T) - s e^(-t/s)) T / (T^2 - s^2)."""
     T, s, sigma = 4.0, 1.0, 0.15
     gust = sea[100:, 8:10] - np.reshape([0.2 * math.cos(0.5), 0.2 * math.sin(0.5)], (2, 1))
     assert np.abs(gust.mean(axis=(0, 2))).max() < 0.01
@@ -87,8 +88,8 @@ def test_gust_has_its_mean_deviation_and_correlation_time(sea):
     assert starts.std() == pytest.approx(sigma, rel=0.1)
 
 
-def test_gust_is_driven_by_white_noise_of_its_own(sea):
-    """Undoing the filter, then the process, leaves independent standard normals from the first step on."""
+def test_gust_is_driven_by_independent_white_noise(sea):
+    """Inversion of the filter and of the process gives independent standard normals from the first step on."""
     smooth = sea[:, 8:10] - np.reshape([0.2 * math.cos(0.5), 0.2 * math.sin(0.5)], (2, 1))
     a, b = math.exp(-DT / 4.0), math.exp(-DT / 1.0)
     process = np.concatenate((smooth[:1], (smooth[1:] - b * smooth[:-1]) / (1 - b)))
@@ -118,8 +119,8 @@ def test_waves_are_sums_of_sines_with_their_root_mean_square(sea):
 def test_current_never_exceeds_its_cap(cap):
     capped = replace(SEA, current=replace(SEA.current, cap=cap))
     drawn = episodes(capped, 50)
-    speed = np.hypot(*played(capped, drawn, [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
-    free = np.hypot(*played(SEA, drawn_without_cap(drawn), [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
+    speed = np.hypot(*read(capped, drawn, [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
+    free = np.hypot(*read(SEA, drawn_without_cap(drawn), [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
     np.testing.assert_allclose(speed, np.minimum(free, cap * 0.8), rtol=1e-12, atol=1e-15)
 
 
@@ -129,47 +130,47 @@ def drawn_without_cap(drawn):
 
 @pytest.mark.parametrize("blocks", [[7, 57, 1, 63], [1] * 128, [20] * 6 + [8]], ids=["uneven", "single", "twenty"])
 @pytest.mark.parametrize("scenario", [SEA, PRESETS["cruise-storm"], PRESETS["slow-gauss-markov"]], ids=lambda s: s.name)
-def test_samples_do_not_depend_on_how_the_tape_is_cut(scenario, blocks):
+def test_samples_do_not_depend_on_the_blocks(scenario, blocks):
     drawn = episodes(scenario, 3)
-    whole = played(scenario, drawn, [BLOCK, BLOCK])
-    np.testing.assert_allclose(played(scenario, drawn, blocks), whole, rtol=0, atol=1e-12)
+    whole = read(scenario, drawn, [BLOCK, BLOCK])
+    np.testing.assert_allclose(read(scenario, drawn, blocks), whole, rtol=0, atol=1e-12)
 
 
-def test_lanes_do_not_know_of_each_other():
-    """One alone, several in other lanes and another order, and one loaded while the others are under way."""
+def test_sub_environments_are_independent():
+    """Compares one alone, several in another order, and one that is loaded while the others run."""
     drawn = [*episodes(SEA, 3), *episodes(PRESETS["slow-storm"], 2, seed=7)]
-    together = played(SEA, drawn, [BLOCK, BLOCK])
-    for lane, episode in enumerate(drawn):
-        np.testing.assert_allclose(played(SEA, [episode], [BLOCK, BLOCK])[..., 0], together[..., lane], atol=1e-12)
-    tape = wound(SEA, drawn[::-1])
-    first = tape.read([4, 0], BLOCK)
-    tape.load(1, SEA, drawn[0], TABLE)
-    second = tape.read([1, 0], BLOCK)
+    together = read(SEA, drawn, [BLOCK, BLOCK])
+    for i, episode in enumerate(drawn):
+        np.testing.assert_allclose(read(SEA, [episode], [BLOCK, BLOCK])[..., 0], together[..., i], atol=1e-12)
+    inputs = loaded(SEA, drawn[::-1])
+    first = inputs.read([4, 0], BLOCK)
+    inputs.load(1, SEA, drawn[0], TABLE)
+    second = inputs.read([1, 0], BLOCK)
     np.testing.assert_allclose(first, together[:BLOCK, :, [0, 4]], rtol=0, atol=1e-12)
     np.testing.assert_allclose(second[..., 0], together[:BLOCK, :, 0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(second[..., 1], together[BLOCK:, :, 4], rtol=0, atol=1e-12)
 
 
-def test_the_seed_fixes_every_number():
-    first, again, other = (played(SEA, episodes(SEA, 2, seed), [BLOCK]) for seed in (1, 1, 2))
+def test_the_seed_determines_all_numbers():
+    first, again, other = (read(SEA, episodes(SEA, 2, seed), [BLOCK]) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first[:, 10:19] != other[:, 10:19]).all()
     assert (first[:, 10:19, 0] != first[:, 10:19, 1]).all()
 
 
-def test_a_calm_lane_is_all_zero_also_beside_and_after_a_rough_one():
-    calm, (rough,) = Scenario(path=SEA.path), episodes(SEA, 1)
+def test_samples_in_calm_water_are_zero_also_beside_and_after_a_storm():
+    calm, (storm,) = Scenario(path=SEA.path), episodes(SEA, 1)
     (quiet,) = episodes(calm, 1)
-    tape = Tape(2, BLOCK)
-    tape.load(0, SEA, rough, TABLE)
-    tape.load(1, calm, quiet, TABLE)
-    assert not tape.read([0, 1], BLOCK)[:, 8:19, 1].any()
-    tape.load(0, calm, quiet, TABLE)
-    assert not tape.read([0, 1], BLOCK)[:, 8:19].any()
+    inputs = ExogenousInputs(2, BLOCK)
+    inputs.load(0, SEA, storm, TABLE)
+    inputs.load(1, calm, quiet, TABLE)
+    assert not inputs.read([0, 1], BLOCK)[:, 8:19, 1].any()
+    inputs.load(0, calm, quiet, TABLE)
+    assert not inputs.read([0, 1], BLOCK)[:, 8:19].any()
 
 
 @given(units, units, st.floats(0.1, 2.0))
-def test_current_scales_with_the_paths_speed_unless_told_otherwise(first, second, speed):
+def test_a_relative_current_scales_with_the_speed_of_the_path(first, second, speed):
     for relative, unit in ((True, speed), (False, 1.0)):
         current = RandomCurrent((0.1, 0.5), gust=0.2, relative=relative).draw(iter((first, second)).__next__, speed)
         assert math.hypot(current.V_x, current.V_y) == pytest.approx(unit * (0.1 + 0.4 * first))
@@ -202,12 +203,12 @@ def test_mismatch_is_a_vehicle_with_more_mass_in_sway(numbers, masses, spread, q
     assert (true.X_uu, true.Y_vv, true.N_rr) == pytest.approx((q, 5 * factors[4] + 2 * q, 3 * q))
 
 
-def test_no_mismatch_is_the_vehicle_itself():
+def test_a_mismatch_of_zero_is_the_vehicle():
     assert RandomMismatch().draw(random.Random(0).random, PAPER_VEHICLE) == PAPER_VEHICLE
 
 
 @given(st.floats(-5, 5), st.floats(0, 5), units)
-def test_a_draw_takes_one_number_and_stays_in_its_interval(low, width, number):
+def test_a_draw_uses_one_number_and_is_in_its_interval(low, width, number):
     numbers = iter((number, 0.5))
     assert low <= draw((low, low + width), numbers.__next__) <= low + width
     assert draw(low, numbers.__next__) == low
@@ -237,6 +238,20 @@ def test_bad_parameters_are_refused(make, arguments, message):
         make(**arguments)
 
 
-def test_mismatch_that_could_leave_less_mass_in_sway_is_refused():
+def test_mismatch_with_too_small_mass_in_sway_is_refused():
     with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8; .* at least 0.8194"):
         Scenario(mismatch=RandomMismatch(ratio=(0.8, 1.2)))
+
+
+def test_every_draw_about_a_vehicle_with_cross_flow_takes_power():
+    crossed = replace(PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0, X_vv=10.0, Y_rv=-30.0, N_vv=30.0, N_vr=-20.0)
+    mismatch, rng = RandomMismatch(d11=(0.5, 2.0), d22=(0.3, 3.0), d33=(0.3, 3.0)), np.random.default_rng(0)
+    drawn = [mismatch.draw(rng.random, crossed) for _ in range(200)]
+    loss = [v.X_vv for v in drawn]
+    assert max(loss) > 15
+    assert min(loss) < 7
+    for vehicle in drawn:
+        Vehicle(*vehicle.coefficients, **vehicle.cross_flow._asdict())  # is not refused
+    bound = fastest_rate(mismatch.extremes(crossed), (250.0, 0.0, 100.0)).max()
+    rates = fastest_rate(tuple(np.array([v.acting for v in drawn]).T), (250.0, 0.0, 100.0))
+    assert (rates <= bound * (1 + 1e-12)).all()

@@ -14,11 +14,16 @@ from scipy.integrate import solve_ivp
 
 from auv_gym.physics.dynamics import rates, rk4_step, state_rates
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)  # 4 Y_uv N_ur > (Y_ur + N_uv)^2: takes energy
-VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
+CROSSED = replace(
+    FINNED, X_vv=9.0, X_vr=-30.0, X_rr=5.0, Y_rv=70.0, Y_vr=-40.0, Y_rr=20.0, N_vv=25.0, N_rv=-15.0, N_vr=35.0
+)
+VEHICLES = pytest.mark.parametrize(
+    "vehicle", [PAPER_VEHICLE, ROUGH, FINNED, CROSSED], ids=["linear", "quadratic", "lift", "cross-flow"]
+)
 START, LOAD, CURRENT = (1.0, -2.0, 0.5, 0.8, -0.2, 0.3), (120.0, -15.0, 20.0), (0.2, -0.1)
 
 unit = st.floats(-1.0, 1.0)
@@ -28,14 +33,14 @@ loads = st.tuples(*[unit.map(lambda q, top=top: top * q) for top in (400, 100, 2
 
 def roll(state, load, vehicle, seconds, dt, current=(0.0, 0.0)):
     for _ in range(round(seconds / dt)):
-        state = rk4_step(state, load, vehicle.coefficients, dt, current)
+        state = rk4_step(state, load, vehicle.acting, dt, current)
     return np.array(state)
 
 
 @given(states, loads)
 @VEHICLES
 def test_rates_are_those_of_the_matrix_form(vehicle, state, load):
-    got = state_rates(state, load, vehicle.coefficients, CURRENT)
+    got = state_rates(state, load, vehicle.acting, CURRENT)
     np.testing.assert_allclose(got, matrix_form(state, load, vehicle, CURRENT), rtol=1e-12, atol=1e-12)
 
 
@@ -80,6 +85,23 @@ def test_rates_are_the_papers_equations():
     assert [sp.simplify(a - b - e) for a, b, e in zip(got, paper, beyond, strict=True)] == [0] * 5
 
 
+def test_cross_flow_is_that_of_fossen():
+    psi, u, v, r = sp.symbols("psi u v r", real=True)
+    c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
+    f = CrossFlow(*sp.symbols(CrossFlow._fields, real=True))
+    with_it, bare = (rates(psi, u, v, r, (0, 0, 0), row, ns=sp) for row in ((*c, *f), c))
+    X = -f.X_vv * v**2 - f.X_vr * v * r - f.X_rr * r**2
+    Y = -f.Y_rv * abs(r) * v - f.Y_vr * abs(v) * r - f.Y_rr * abs(r) * r
+    N = -f.N_vv * abs(v) * v - f.N_rv * abs(r) * v - f.N_vr * abs(v) * r
+    added = [0, 0, X / c.m11, Y / c.m22, N / c.m33]
+    assert [sp.simplify(a - b - e) for a, b, e in zip(with_it, bare, added, strict=True)] == [0] * 5
+
+
+@pytest.mark.parametrize(("vehicle", "terms"), [(PAPER_VEHICLE, 9), (ROUGH, 9), (FINNED, 13), (CROSSED, 22)])
+def test_what_a_vehicle_has_not_is_not_computed(vehicle, terms):
+    assert len(vehicle.acting) == terms
+
+
 def test_floats_arrays_and_tensors_agree():
     rng = np.random.default_rng(0)
     state, load = rng.normal(size=(6, 7)), 50 * rng.normal(size=(3, 7))
@@ -95,11 +117,15 @@ def test_floats_arrays_and_tensors_agree():
 @VEHICLES
 def test_kinetic_energy_falls_by_the_work_of_drag(vehicle, state):
     m11, m22, m33, *drag = vehicle.coefficients
+    c = vehicle.cross_flow
     (*_, u, v, r), (Y_uv, Y_ur, N_uv, N_ur) = state, drag[6:]
-    rate = state_rates(state, (0.0, 0.0, 0.0), vehicle.coefficients)
+    rate = state_rates(state, (0.0, 0.0, 0.0), vehicle.acting)
     power = m11 * u * rate[3] + m22 * v * rate[4] + m33 * r * rate[5]
     work = sum((d + q * abs(s)) * s * s for d, q, s in zip(drag[:3], drag[3:6], (u, v, r), strict=True))
     work += abs(u) * (Y_uv * v * v - (Y_ur + N_uv) * v * r + N_ur * r * r)
+    slope = c.slopes(vehicle.Y_vv, vehicle.N_rr)[v * r < 0]
+    work += sum(k * abs(v) ** (3 - n) * abs(r) ** n for n, k in enumerate(slope) if n in (1, 2))
+    work += u * (c.X_vv * v * v + c.X_vr * v * r + c.X_rr * r * r)
     assert power == pytest.approx(-work, abs=1e-9)
 
     def energy(state):

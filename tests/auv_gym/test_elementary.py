@@ -1,4 +1,4 @@
-"""Functions made of additions and products, against NumPy's; what Python refuses is what C gives."""
+"""Elementary functions made of additions and products against NumPy; results where Python raises errors."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from auv_gym.codegen.kernel import Kernel
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_exponential_and_arctangent_are_those_of_numpy(precision):
+def test_exponential_and_arctangent_agree_with_numpy(precision):
     kernel = Kernel.traced(
         lambda x: {"y": [SYMBOLS.exp(x[0]), SYMBOLS.arctan2(x[1], x[2]), SYMBOLS.arcsin(x[3])]},
         {"x": 4},
@@ -23,7 +23,7 @@ def test_exponential_and_arctangent_are_those_of_numpy(precision):
     np.testing.assert_allclose(kernel(x=x)["y"], expected, rtol=8 * np.finfo(precision).eps)
 
 
-def test_ends_of_the_exponential_and_of_the_arctangent():
+def test_limits_of_exponential_and_arctangent():
     kernel = Kernel.traced(lambda x: {"y": [SYMBOLS.exp(x[0]), SYMBOLS.arctan2(x[1], x[2])]}, {"x": 3})
     x = np.array(
         [
@@ -48,7 +48,7 @@ def test_derivatives_of_the_arctangent():
     np.testing.assert_allclose(found[0], (ends[0] - ends[1]) / 2e-6, rtol=1e-8)
 
 
-def test_one_vehicle_may_divide_by_zero(monkeypatch):
+def test_floats_give_infinities_where_python_raises_errors(monkeypatch):
     monkeypatch.setenv("AUV_GYM_NATIVE", "0")
     equation = Kernel.traced(lambda x: {"y": [1.0 / x[0], SYMBOLS.sqrt(x[0] - 1.0), SYMBOLS.exp(x[1])]}, {"x": 2})
     y = equation(x=np.array([[0.0], [1e9]]))["y"]

@@ -1,4 +1,4 @@
-"""The scalar environment: the contract with Gymnasium and Stable-Baselines3, and the simulation behind it."""
+"""The scalar environment: the interface of Gymnasium and Stable-Baselines3, and the simulation."""
 
 import copy
 import math
@@ -44,7 +44,7 @@ def rollout(env, policy, steps, **reset):
 @pytest.mark.parametrize("scenario", PRESETS)
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # the residual environment is a wrapper
 @pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
-def test_checkers_find_nothing(env_id, scenario):
+def test_environment_checkers(env_id, scenario):
     env = gym.make(env_id, scenario=scenario)
     check_env(env, skip_render_check=True)
     sb3_check_env(env)
@@ -78,7 +78,7 @@ def test_info_keys_are_constant_and_observations_inside(scenario):
     assert info["time"] == pytest.approx(env.unwrapped.scenario.duration)
 
 
-def test_truncation_after_the_scenarios_steps_then_reset_is_needed():
+def test_truncation_after_the_steps_of_the_scenario():
     env = gym.make(TRACK, scenario={"steps": 3, "lost_distance": 60.0})
     with pytest.raises(ResetNeeded):
         env.step(ZERO)
@@ -88,7 +88,7 @@ def test_truncation_after_the_scenarios_steps_then_reset_is_needed():
         env.step(ZERO)
 
 
-def test_wrappers_are_told_the_episodes_length():
+def test_the_spec_has_the_length_of_episodes():
     from gymnasium.wrappers import TimeAwareObservation
 
     assert gym.make(TRACK, scenario="slow-calm").spec.max_episode_steps == 600
@@ -100,7 +100,7 @@ def test_wrappers_are_told_the_episodes_length():
     assert [env.step(np.zeros(2))[3] for _ in range(5)] == [False] * 4 + [True]
 
 
-def test_termination_when_lost():
+def test_termination_beyond_the_lost_distance():
     env = gym.make(TRACK)
     env.reset(seed=0, options={"initial_error": (-9.99, 0.0, 0.0)})
     log = [env.step(ZERO) for _ in range(1)]
@@ -111,7 +111,7 @@ def test_termination_when_lost():
 
 
 def test_zero_error_is_possible_in_calm_water():
-    """The plan's own forces, held over each period, keep a vehicle that starts on the plan on it."""
+    """A vehicle that starts on the plan stays on it with the forces of the plan, held over each period."""
     env = gym.make(TRACK, control_dt=0.01)
     log = rollout(env, make_policy("backstepping-paper"), 2000, seed=0, options=on_the_plan(env))
     assert max(info["position_error"] for _, _, info in log) < 1e-5
@@ -124,7 +124,7 @@ def on_the_plan(env):
 
 
 def test_a_run_agrees_with_a_tight_integrator():
-    """The whole chain of action, dynamics and clock against DOP853 with the forces held over each period."""
+    """Action, dynamics and time, compared with DOP853 with forces held over each period."""
     env = gym.make(TRACK, scenario="cruise-current", control_dt=0.05)
     env.reset(seed=3)
     raw = env.unwrapped
@@ -212,7 +212,7 @@ def test_bad_actions_change_nothing(env_id, action):
 
 
 @pytest.mark.parametrize("action", [[0.5, -0.5], (0.5, -0.5), np.array([0.5, -0.5]), np.array([0.5, -0.5], np.float16)])
-def test_actions_are_any_two_numbers(action):
+def test_actions_may_be_any_sequence_of_two_numbers(action):
     env, twin = (gym.make(TRACK, scenario="cruise-storm") for _ in range(2))
     for e in (env, twin):
         e.reset(seed=0)
@@ -233,7 +233,7 @@ def test_actions_are_any_two_numbers(action):
     ],
 )
 def test_a_refused_reset_changes_nothing(reset, message):
-    """The episode goes on, and the next one is the one that it would have been."""
+    """The episode continues, and the next episode is the same as without the refused reset."""
     env, twin = (gym.make(TRACK, scenario="cruise-storm", render_mode="rgb_array") for _ in range(2))
     for e in (env, twin):
         e.reset(seed=0)
@@ -250,7 +250,7 @@ def test_a_refused_reset_changes_nothing(reset, message):
 
 @pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deep", "pickle"])
-def test_a_copy_goes_on_alone_also_after_a_picture(env_id, copied):
+def test_copies_are_independent_also_after_rendering(env_id, copied):
     env = (
         gym.make(env_id, scenario="cruise-storm", render_mode="rgb_array", preview=(3,))
         if env_id == TRACK
@@ -262,13 +262,13 @@ def test_a_copy_goes_on_alone_also_after_a_picture(env_id, copied):
     env.render()
     twin = copied(env)
     action = np.array([0.3, -0.2], dtype=np.float32)
-    expected = [env.step(action) for _ in range(70)]  # into another block of samples
+    expected = [env.step(action) for _ in range(70)]  # until the next block of samples
     picture, after = env.render(), env.reset()[0]
     for step in expected:
         found = twin.step(action)
         np.testing.assert_array_equal(found[0], step[0])
         assert found[1:] == step[1:]
-    assert twin.render().shape == picture.shape  # a new camera may look from elsewhere
+    assert twin.render().shape == picture.shape  # the copy has a new camera, which can have another position
     np.testing.assert_array_equal(twin.reset()[0], after)
 
 
@@ -291,7 +291,7 @@ def test_unknown_render_mode_is_refused():
         UnderactuatedAUVTrackEnv(render_mode="ascii")
 
 
-def test_frames_come_from_the_spec_and_without_a_display(tmp_path):
+def test_videos_without_a_display(tmp_path):
     env = gym.make(TRACK, scenario="cruise-storm", render_mode="rgb_array")
     video = gym.wrappers.RecordVideo(env, str(tmp_path / "video"), episode_trigger=lambda _: True, video_length=10)
     rollout(video, make_policy("backstepping"), 12, seed=0)
@@ -299,19 +299,19 @@ def test_frames_come_from_the_spec_and_without_a_display(tmp_path):
     assert [file.suffix for file in (tmp_path / "video").iterdir()] == [".mp4"]
 
 
-def test_rendering_before_reset_or_without_a_mode_is_explained():
+def test_rendering_before_reset_or_without_a_mode():
     with pytest.raises(ResetNeeded, match=r"call reset\(\) before render"):
         gym.make(TRACK, render_mode="rgb_array").render()
     with pytest.warns(UserWarning, match="render_mode"):
         assert gym.make(TRACK).render() is None
 
 
-def test_infeasible_force_is_named():
+def test_message_of_an_infeasible_force():
     with pytest.raises(InfeasibleReferenceError, match=r"F_u = .* N is beyond its limit of 10 N"):
         gym.make(TRACK, scenario={"path": {"family": "line", "speed": 1.0}, "actuators": {"F_u_max": 10.0}})
 
 
-def test_arguments_survive_the_specs_json():
+def test_arguments_in_the_json_of_the_spec():
     env = gym.make(TRACK, scenario=PRESETS["slow-storm"].to_dict(), vehicle="paper", control_dt=0.1)
     copy = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert copy.unwrapped.scenario == env.unwrapped.scenario

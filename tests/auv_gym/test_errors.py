@@ -1,4 +1,4 @@
-"""Tracking errors: (17)-(20) against the difference of two vehicles, angles and rotations."""
+"""Tracking errors: (17)-(20) compared with the difference of two vehicles, angles and rotations."""
 
 import math
 
@@ -71,9 +71,9 @@ def test_rotations_are_inverse_and_turn_counter_clockwise(x, y, psi):
 
 
 @given(st.tuples(*[lengths] * 6), st.tuples(*[lengths] * 6), st.integers(-3, 3))
-def test_tracking_errors_are_differences_with_whole_turns_left_out(state, reference, turns):
-    more = (*state[:2], state[2] + turns * math.tau, *state[3:])
-    errors = np.array(tracking_errors(more, reference))
+def test_tracking_errors_are_differences_modulo_whole_turns(state, reference, turns):
+    turned = (*state[:2], state[2] + turns * math.tau, *state[3:])
+    errors = np.array(tracking_errors(turned, reference))
     difference = np.subtract(state, reference)
     difference[2] = math.remainder(difference[2], math.tau)
     offset = errors - difference

@@ -1,4 +1,4 @@
-"""Published vehicles: their numbers from the sources' own, what becomes of a scenario, and plans that they follow."""
+"""Published vehicles: comparison with their sources, adapted scenarios, and plans."""
 
 import inspect
 import math
@@ -35,7 +35,7 @@ VEHICLE_NAMES = pytest.mark.parametrize("name", vehicle_names())
 
 
 @VEHICLE_NAMES
-def test_numbers_are_those_of_the_source(name):
+def test_numbers_equal_those_of_the_source(name):
     mine, theirs = vehicle_model(name), SOURCES[name]()
     have = {**vars(mine.vehicle), **vars(mine.actuators)}
     assert {key: have[key] for key in theirs} == pytest.approx(theirs, rel=5e-3)
@@ -44,16 +44,16 @@ def test_numbers_are_those_of_the_source(name):
 
 
 @VEHICLE_NAMES
-def test_drag_takes_as_much_of_the_thrust_as_it_does_of_the_papers_vehicle_at_most(name):
-    """At cruise, so that current and a wrong model leave as much of it."""
+def test_drag_over_thrust_is_at_most_that_of_the_paper(name):
+    """At cruise, so the margin of thrust for a current or model error is at least that of the paper."""
     mine = vehicle_model(name)
     share, of_the_paper = (c.drag(c.vehicle.speed)[0] * c.vehicle.speed / c.actuators.F_u_max for c in (mine, PAPER))
     assert share < 1.01 * of_the_paper
 
 
 @VEHICLE_NAMES
-def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
-    """From the planned state in still water, in the matrix form, by Runge-Kutta steps of h: nothing is left over."""
+def test_planned_forces_keep_the_vehicle_on_its_path(name):
+    """In still water, by Runge-Kutta steps of the matrix form."""
     mine = vehicle_model(name)
     h, turn_rate = 0.02 * mine.vehicle.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.vehicle.time / mine.vehicle.time)
     path = PATHS["sine"].drawn(mine.vehicle.speed, turn_rate, random.Random(1).random)
@@ -75,8 +75,8 @@ def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
 
 
 @VEHICLE_NAMES
-def test_its_storm_can_be_sailed_in_by_steps_that_are_short_enough(name):
-    """Full commands to and fro: no speed leaves what thrust and drag allow."""
+def test_integration_steps_are_short_enough_in_a_storm(name):
+    """With alternating full commands no speed exceeds the limits of thrust and drag."""
     mine, env = vehicle_model(name), UnderactuatedAUVTrackEnv(f"cruise-storm@{name}")
     env.reset(seed=0)
     rng, limit = np.random.default_rng(0), 3 * mine.actuators.F_u_max
@@ -91,15 +91,15 @@ def test_its_storm_can_be_sailed_in_by_steps_that_are_short_enough(name):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_for_the_papers_vehicle_a_scenario_stays_what_it_is(name):
+def test_for_the_vehicle_of_the_paper_a_scenario_does_not_change(name):
     assert adapted(PAPER, PRESETS[name]) == PRESETS[name]
 
 
 @pytest.mark.parametrize(
     "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
 )
-def test_the_papers_vehicle_in_other_units_does_the_same(sensors):
-    """A vehicle twice as long, three times as slow and five times as heavy: the same without dimensions."""
+def test_the_vehicle_of_the_paper_in_other_units(sensors):
+    """A vehicle twice as long, three times as slow and five times as heavy has the same dimensionless motion."""
     L, T, M = 2.0, 3.0, 5.0
     v, act = PAPER_VEHICLE, PAPER.actuators
     inertia = {"m11": v.m11 * M, "m22": v.m22 * M, "m33": v.m33 * M * L * L}
@@ -131,8 +131,8 @@ def test_the_papers_vehicle_in_other_units_does_the_same(sensors):
         assert (two.e_x / L, two.v_e * T / L, two.r_e * T) == pytest.approx((one.e_x, one.v_e, one.r_e), abs=1e-7)
 
 
-def test_every_entry_with_a_unit_is_scaled_by_it():
-    """The units stand behind the fields; speeds and forces that are shares of something have none."""
+def test_each_entry_with_a_unit_is_scaled():
+    """The units are in the comments of the fields; relative speeds and forces have none."""
     powers = {"m": (1, 0), "s": (0, 1), "m/s": (1, -1), "rad/s": (0, -1), "Hz": (0, -1), "1/min": (0, -1)}
     powers |= {"rad/sqrt(s)": (0, -0.5), "rad": None}
     classes = {"start": Start, "sensors": Sensors, "reckoning": RandomReckoning}
@@ -147,7 +147,7 @@ def test_every_entry_with_a_unit_is_scaled_by_it():
 FINNED = replace(PRESETS["cruise-calm"], actuators=Actuators(F_r_max=200.0, fin=100.0, astern=0.25))
 
 
-def test_fins_give_torque_with_the_square_of_the_speed_and_say_so():
+def test_torque_of_fins_is_quadratic_in_the_speed_and_observed():
     env = UnderactuatedAUVTrackEnv(FINNED)
     for u, torque in ((0.0, 0.0), (0.5, 25.0), (-1.0, 100.0), (2.0, 200.0)):
         o = decode_observation(env.reset(seed=0, options={"initial_velocity": (u, 0.0, 0.0)})[0])
@@ -156,7 +156,7 @@ def test_fins_give_torque_with_the_square_of_the_speed_and_say_so():
         np.testing.assert_allclose(env.force, (-100.0, 0.5 * torque))
 
 
-def test_plan_that_fins_cannot_steer_is_refused():
+def test_a_plan_beyond_the_torque_of_fins_is_refused():
     path, times = PATHS["circle"](0.5, 0.2), 0.1 * np.arange(100)
     R = plan(path, PAPER_VEHICLE, times)
     needed = abs(R.F_r[0]) / R.u[0] ** 2
@@ -191,15 +191,15 @@ def test_vehicle_by_name_and_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "says"),
+    ("scenario", "message"),
     [
         ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, cybership2, .*lauv"),
-        ("slow-storm@lauv", "asks for 0.056 m/s of this vehicle, whose fins steer it from 0.25 m/s on"),
+        ("slow-storm@lauv", "speeds from 0.056 m/s, but the fins of this vehicle need at least 0.25 m/s"),
         ("storm@lauv", "unknown scenario 'storm@lauv'"),
     ],
 )
-def test_what_there_is_not_is_refused(scenario, says):
-    with pytest.raises(ValueError, match=says):
+def test_unknown_vehicles_and_scenarios_are_refused(scenario, message):
+    with pytest.raises(ValueError, match=message):
         as_scenario(scenario)
 
 
@@ -213,8 +213,8 @@ def test_wrong_file_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
 )
-def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name, sensors):
-    """Every state is the same in lengths and times of the vehicle, step by step, for the same actions."""
+def test_a_scenario_in_the_units_of_its_vehicle(name, sensors):
+    """The same actions give the same states in lengths and times of the vehicle."""
     storm = PRESETS["cruise-storm"]
     there = changed(replace(storm, sensors=replace(storm.sensors, **sensors)), vehicle_model(name))
     here, units = in_vehicle_units(there), Units.of(vehicle_model(name).vehicle)
@@ -231,8 +231,8 @@ def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name,
         np.testing.assert_allclose(envs[1].state / own, envs[0].state, atol=1e-6)
 
 
-def test_a_scenario_of_the_papers_vehicle_is_in_its_own_units():
+def test_a_scenario_of_the_vehicle_of_the_paper_does_not_change():
     for name in ("cruise-storm", "paper-circle"):
         assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
-    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has one path of its own, .*; give it paths that are"):
+    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has a fixed path, .*; give it random paths"):
         in_vehicle_units(changed(PRESETS["paper-circle"], "lauv"))

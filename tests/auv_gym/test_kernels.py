@@ -1,4 +1,4 @@
-"""The simulation as kernels: the same numbers as the equations themselves, for one vehicle and for many."""
+"""The simulation as kernels: the same numbers as the equations, for one vehicle and for many."""
 
 import copy
 import math
@@ -13,12 +13,12 @@ import pytest
 
 from auv_gym import PRESETS
 from auv_gym.codegen import native
-from auv_gym.envs.lanes import Lanes
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
+from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.rows import filled, leaves
-from auv_gym.task.kernels import OneVehicle, Vehicles, begun, start_kernel, step_kernel
+from auv_gym.task.kernels import OneVehicle, Vehicles, start_kernel, started, step_kernel
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.simulation import (
@@ -37,10 +37,10 @@ from baselines.control.backstepping import Backstepping, StabilityWarning
 from baselines.control.open_loop import OpenLoop, Zero
 from baselines.residual_envs import make_residual_vector_env
 
-LANES = 9
+N = 9
 
 
-def numbers(rng, n=LANES):
+def numbers(rng, n=N):
     """Return plausible plants, actions, samples and parameters, rows of n vehicles."""
     plant, samples = rng.normal(size=(PLANT_ROWS, n)), rng.normal(size=(SAMPLE_ROWS, n))
     samples[-1] = rng.integers(0, 2, n)
@@ -50,16 +50,16 @@ def numbers(rng, n=LANES):
 
 
 @pytest.mark.parametrize("flags", [[k == j for k in range(6)] for j in range(7)] + [[True] * 6])
-def test_a_step_is_the_simulations_own_whatever_is_in_use(flags):
-    parts = Parts(2, *flags)
+def test_a_step_equals_the_simulation_for_all_parts(flags):
+    parts = Parts(2, *flags, crossed=all(flags))
     plant, action, sample, parameters = numbers(np.random.default_rng(0))
-    given = {"plant": plant, "seen": np.zeros((SIZE, LANES)), "action": action, "authority": np.zeros((2, LANES))}
+    given = {"plant": plant, "seen": np.zeros((SIZE, N)), "action": action, "authority": np.zeros((2, N))}
     found = step_kernel(parts)(1, **given, samples=sample[None], parameters=parameters)
-    for i in range(LANES):
+    for i in range(N):
         columns = (a[:, i].tolist() for a in (plant, action, sample, parameters))
-        before, command, outside, constants = columns
+        before, command, inputs, constants = columns
         after, terms, (reward, failed, squared, saturated) = step(
-            filled(PLANT, before), command, outside, Parameters.of(constants, parts), FLOATS
+            filled(PLANT, before), command, inputs, Parameters.of(constants, parts), FLOATS
         )
         np.testing.assert_allclose(found["next_plant"][:, i], leaves(after), rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(found["next_seen"][:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
@@ -67,12 +67,12 @@ def test_a_step_is_the_simulations_own_whatever_is_in_use(flags):
         np.testing.assert_allclose(found["outcome"][:, i], outcome, rtol=1e-12, atol=1e-13)
 
 
-def test_a_start_is_the_simulations_own():
+def test_a_start_equals_the_simulation():
     parts, rng = Parts(filtered=True, sheared=True), np.random.default_rng(1)
     _, _, sample, parameters = numbers(rng)
-    states = rng.normal(size=(6, LANES))
-    plant, seen = begun(parts, states, sample, parameters)
-    for i in range(LANES):
+    states = rng.normal(size=(6, N))
+    plant, seen = started(parts, states, sample, parameters)
+    for i in range(N):
         p = Parameters.of(parameters[:, i].tolist(), parts)
         expected, terms = start(tuple(states[:, i].tolist()), sample[:, i].tolist(), p, FLOATS)
         np.testing.assert_allclose(plant[:, i], leaves(expected), rtol=1e-12)
@@ -80,8 +80,8 @@ def test_a_start_is_the_simulations_own():
 
 
 @pytest.mark.skipif(not native.wanted() or native.compiler() is None, reason="bits are those of compiled code")
-def test_a_vehicle_goes_the_same_way_alone_and_among_others():
-    """To the bit, whatever the compiler's vectors hold."""
+def test_results_do_not_depend_on_the_number_of_vehicles():
+    """To the last bit, also with vector instructions."""
     kernel, rng = step_kernel(PRESETS["cruise-storm"].parts), np.random.default_rng(2)
     plant, action, sample, parameters = numbers(rng, 37)
     zero = {"seen": np.zeros((SIZE, 37)), "authority": np.zeros((2, 37))}
@@ -115,10 +115,10 @@ print(seen.hexdigest())
 @pytest.mark.skipif(not native.wanted() or native.compiler() is None, reason="bits are those of compiled code")
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
 def test_bits_do_not_depend_on_the_compiler(tmp_path):
-    """Nor on its level of optimisation, or on the processor's instructions, which one of them does not know."""
+    """Nor on its level of optimisation, or on the instruction set, which one of them does not use."""
     slow = tmp_path / "unoptimised"
     slow.write_text(
-        f'#!/bin/sh\nfor a; do shift; case "$a" in -march=*) exit 1;; -O1) ;; *) set -- "$@" "$a";; esac; done\n'
+        f'#!/bin/sh\nfor a; do shift; case "$a" in -march=*) exit 1;; -O?) ;; *) set -- "$@" "$a";; esac; done\n'
         f'exec {native.compiler()[0]} "$@"\n'
     )
     slow.chmod(0o755)
@@ -132,11 +132,11 @@ def test_bits_do_not_depend_on_the_compiler(tmp_path):
     assert len(printed) == 1
 
 
-def test_what_is_no_number_is_lost():
+def test_a_state_that_is_not_a_number_is_a_failure():
     kernel = step_kernel(Parts())
     plant, action, sample, parameters = numbers(np.random.default_rng(3))
     plant[PLANT.x, 4] = math.nan
-    given = {"seen": np.zeros((SIZE, LANES)), "authority": np.zeros((2, LANES)), "samples": sample[None]}
+    given = {"seen": np.zeros((SIZE, N)), "authority": np.zeros((2, N)), "samples": sample[None]}
     parameters[PARAMETERS.lost_distance] = 100.0
     failed = kernel(1, plant=plant, action=action, parameters=parameters, **given)["outcome"][1]
     assert failed[4] == 1
@@ -144,24 +144,22 @@ def test_what_is_no_number_is_lost():
 
 
 def vehicles(n=4):
-    lanes = Lanes(n, "cruise-storm", None, None)
-    beginning = lanes.reset(0, None)
-    made = Vehicles(lanes.parts, lanes.samples, lanes.constants)
-    made.place(beginning.lanes, beginning.plant, beginning.seen)
+    envs = SubEnvironments(n, "cruise-storm", None, None)
+    first = envs.reset(0, None)
+    made = Vehicles(envs.parts, envs.samples, envs.constants)
+    made.place(first.indices, first.plant, first.seen)
     made.action[:] = 0.3
     return made
 
 
 @pytest.mark.parametrize("forces", [None, Backstepping().forces], ids=["commands", "corrections"])
-def test_one_vehicle_is_one_of_many(forces):
-    lanes = Lanes(1, "cruise-storm", None, None)
-    lanes.forces = forces
-    states, _ = lanes.load(lanes.all, lanes.ready(lanes.all, [np.random.default_rng(0)], None))
-    plant, seen = begun(lanes.parts, states, lanes.samples[0], lanes.constants, forces)
+def test_one_vehicle_equals_one_of_many(forces):
+    envs = SubEnvironments(1, "cruise-storm", None, None)
+    envs.forces = forces
+    states, _ = envs.load(envs.all, envs.ready(envs.all, [np.random.default_rng(0)], None))
+    plant, seen = started(envs.parts, states, envs.samples[0], envs.constants, forces)
     authority = (0.5, 0.3)
-    many, one = (
-        made(lanes.parts, lanes.samples, lanes.constants, forces, authority) for made in (Vehicles, OneVehicle)
-    )
+    many, one = (made(envs.parts, envs.samples, envs.constants, forces, authority) for made in (Vehicles, OneVehicle))
     many.place(slice(None), plant, seen)
     one.start(states)
     rng = np.random.default_rng(1)
@@ -174,7 +172,7 @@ def test_one_vehicle_is_one_of_many(forces):
         assert one.outcome.tolist() == many.now.outcome[:, 0].tolist()
         if k == 15:
             one = pickle.loads(pickle.dumps(one))
-            one._arrays["samples"], one._arrays["parameters"] = lanes.samples, lanes.constants
+            one._arrays["samples"], one._arrays["parameters"] = envs.samples, envs.constants
 
 
 def test_a_step_can_be_undone():
@@ -190,7 +188,7 @@ def test_a_step_can_be_undone():
 
 
 @pytest.mark.parametrize("twin", [copy.deepcopy, lambda made: pickle.loads(pickle.dumps(made))])
-def test_copies_have_a_memory_of_their_own(twin):
+def test_copies_are_independent(twin):
     made = vehicles()
     made.step(1)
     other = twin(made)
@@ -201,23 +199,23 @@ def test_copies_have_a_memory_of_their_own(twin):
     np.testing.assert_array_equal(other.now.plant, expected)
 
 
-class Stubborn(Backstepping):
-    """A law that does something else than its forces say."""
+class OtherPredict(Backstepping):
+    """A law whose actions are not given by its forces."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return np.full((*observation.shape[:-1], 2), 0.5, dtype=np.float32), state
 
 
-def test_only_what_follows_its_forces_is_compiled():
+def test_only_laws_with_the_actions_of_their_forces_are_traceable():
     assert all(traceable(law) for law in (Backstepping(), OpenLoop(), Zero(), Backstepping(horizon=5.0)))
-    assert not any(traceable(policy) for policy in (make_policy("ekf"), Stubborn(), object()))
+    assert not any(traceable(policy) for policy in (make_policy("ekf"), OtherPredict(), object()))
 
 
 @pytest.mark.parametrize(
-    "expert", [Backstepping(), Backstepping("normalised", horizon=5.0), OpenLoop(), Zero(), Stubborn()]
+    "expert", [Backstepping(), Backstepping("normalised", horizon=5.0), OpenLoop(), Zero(), OtherPredict()]
 )
 def test_the_compiled_correction_is_the_expert_plus_a_correction(expert):
-    """Against the environment without it, the policy's own `predict` and the rule of residual control."""
+    """Compared with the environment without correction, `predict` of the policy and the formula of residual control."""
     plain = UnderactuatedAUVTrackEnv("cruise-storm")
     env = ResidualAction(UnderactuatedAUVTrackEnv("cruise-storm"), expert, (0.4, 0.7))
     observation, _ = plain.reset(seed=3)
@@ -236,7 +234,7 @@ def test_the_compiled_correction_is_the_expert_plus_a_correction(expert):
             break
 
 
-def test_the_compiled_vector_correction_is_the_scalar_one():
+def test_the_compiled_vector_correction_equals_the_scalar_one():
     def make():
         return UnderactuatedAUVTrackEnv("slow-storm")
 
@@ -263,12 +261,12 @@ def test_a_compiled_law_still_warns():
         ResidualAction(UnderactuatedAUVTrackEnv(fast), Backstepping()).reset(seed=0)
 
 
-def test_a_refused_law_says_what_a_symbol_cannot_do():
+def test_the_error_of_a_branching_law():
     class Branching(Law):
         def forces(self, o, ns=FLOATS):
             return (1.0, 0.0) if o[0] > 0 else (0.0, 1.0)
 
-    with pytest.raises(TypeError, match="choose between two values with `where`"):
+    with pytest.raises(TypeError, match="use `where` to select one of two values"):
         ResidualAction(UnderactuatedAUVTrackEnv(), Branching())
 
 

@@ -1,4 +1,4 @@
-"""Compiled code: the cache and who may write there, compilers that fail, and what is said where Python takes over."""
+"""Compiled code: the cache and its permissions, compilers that fail, and the warnings without compiled code."""
 
 import ctypes
 import errno
@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from native_cache import forget
 
-from auv_gym.codegen import cache as kept
+from auv_gym.codegen import cache as cache_module
 from auv_gym.codegen import native
 from auv_gym.codegen.kernel import Kernel
 
@@ -25,42 +25,42 @@ needs_compiler = pytest.mark.skipif(
     native.compiler() is None or not native.wanted(), reason="compiled code is switched off, or there is no compiler"
 )
 SOURCE = "double auv_test(void) { return 3; }\n"
-OTHERS = 65533  # a user who is not there
+OTHER_USER = 65533  # a user id that does not exist
 
 
 def libraries(folder):
-    """Return the libraries in a folder but for that of the trial, by time."""
+    """Return the libraries in a folder by time, without that of the trial."""
     return sorted((file for file in folder.glob("*.so") if b"auv_test" in file.read_bytes()), key=os.path.getmtime)
 
 
 def result(source=SOURCE):
-    """Return what the function of a source computes."""
+    """Return the result of the function of a source."""
     function = native.library(source)["auv_test"]
     function.restype = ctypes.c_double
     return function()
 
 
 def program(folder, name, text):
-    """Return a new program of the shell."""
+    """Write a shell script and return its path."""
     file = folder / name
     file.write_text(f"#!/bin/sh\n{text}\n")
     file.chmod(0o755)
     return str(file)
 
 
-def given_to_others(path, monkeypatch):
-    """Make an open file or folder look as that of another user: a test need not run as root."""
+def change_owner(path, monkeypatch):
+    """Let `os.fstat` report another owner of a file or folder, without the rights of root."""
     real, inode = os.fstat, path.stat().st_ino
 
     def fstat(handle):
         state = real(handle)
-        return os.stat_result((*state[:4], OTHERS, *state[5:])) if state.st_ino == inode else state
+        return os.stat_result((*state[:4], OTHER_USER, *state[5:])) if state.st_ino == inode else state
 
     monkeypatch.setattr(os, "fstat", fstat)
 
 
-def said(caplog):
-    """Return the warnings, which go to stderr unless logging is configured."""
+def warnings_of(caplog):
+    """Return the logged warnings; they go to stderr if logging is not configured."""
     return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
 
@@ -70,24 +70,24 @@ def test_a_library_is_built_once(cache, monkeypatch):
     (file,) = libraries(cache)
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
     forget()
-    monkeypatch.setattr(native, "_compile", lambda *_: pytest.fail("it is there already"))
+    monkeypatch.setattr(native, "_compile", lambda *_: pytest.fail("the library exists"))
     assert result() == 3
     assert libraries(cache) == [file]
-    assert not list(cache.glob(f"{kept.BUILD}*"))
+    assert not list(cache.glob(f"{cache_module.BUILD}*"))
 
 
 @needs_compiler
-def test_one_line_says_that_nothing_is_kept(cache, caplog):
+def test_a_warning_says_that_code_cannot_be_kept(cache, caplog):
     cache.write_text("a file where the folder should be")
     assert result() == 3
     assert native.library(SOURCE + "\n") is not None
-    (line,) = said(caplog)
+    (line,) = warnings_of(caplog)
     assert f"cannot be kept in {cache}: " in line
     assert "each process compiles again" in line
 
 
 @needs_compiler
-def test_the_line_is_seen_where_nothing_is_configured(cache):
+def test_the_warning_is_printed_if_logging_is_not_configured(cache):
     cache.write_text("a file where the folder should be")
     code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -95,13 +95,13 @@ def test_the_line_is_seen_where_nothing_is_configured(cache):
     assert "compiled code cannot be kept" in done.stderr
 
 
-def test_without_a_compiler_one_line_says_so(cache, caplog, monkeypatch):
+def test_a_warning_says_that_there_is_no_compiler(cache, caplog, monkeypatch):
     monkeypatch.setenv("PATH", str(cache))
     monkeypatch.delenv("CC", raising=False)
     assert native.library(SOURCE) is None
     assert native.library(SOURCE + "\n") is None
-    (line,) = said(caplog)
-    assert "gcc: there is no such program" in line
+    (line,) = warnings_of(caplog)
+    assert "gcc: the program does not exist" in line
     assert "equations run as Python, several times slower" in line
     kernel = Kernel.traced(lambda a: {"out": (a[0] * 2.0,)}, {"a": 1})
     np.testing.assert_array_equal(kernel(a=np.array([[1.5, 2.5]]))["out"], [[3.0, 5.0]])
@@ -110,27 +110,27 @@ def test_without_a_compiler_one_line_says_so(cache, caplog, monkeypatch):
 BROKEN = '[ "$1" = --version ] && echo 1.0 && exit 0\necho "no disk" >&2\nexit 1'
 
 
-def test_a_broken_compiler_alone_is_as_good_as_none(cache, caplog, monkeypatch, tmp_path):
+def test_a_warning_says_that_the_only_compiler_fails(cache, caplog, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", program(tmp_path, "broken-cc", BROKEN))
     monkeypatch.setenv("PATH", str(cache))
     assert native.library(SOURCE) is None
-    (line,) = said(caplog)
+    (line,) = warnings_of(caplog)
     assert "no disk" in line
 
 
 @needs_compiler
-def test_a_broken_compiler_is_passed_over(cache, caplog, monkeypatch, tmp_path):
-    """One that cannot even be started, and one that fails, before the one that works."""
+def test_a_broken_compiler_is_skipped(cache, caplog, monkeypatch, tmp_path):
+    """The first cannot be started, the second fails, the third works."""
     monkeypatch.setenv("CC", "'unbalanced")
     monkeypatch.setattr(native, "COMPILERS", (program(tmp_path, "broken-cc", BROKEN), *native.COMPILERS))
     assert result() == 3
     assert native.compiler()[0].endswith(native.COMPILERS[1:])
-    assert not said(caplog)
+    assert not warnings_of(caplog)
 
 
 @needs_compiler
 def test_a_command_of_several_words_compiles(cache, monkeypatch, tmp_path):
-    """CC="ccache gcc", and a name with a blank in it."""
+    """CC="ccache gcc", with a space in the path."""
     real = native.compiler()[0]
     forget()
     folder = tmp_path / "a folder"
@@ -143,8 +143,8 @@ def test_a_command_of_several_words_compiles(cache, monkeypatch, tmp_path):
 
 
 @needs_compiler
-def test_a_hanging_compiler_is_given_up_once_with_its_children(cache, caplog, monkeypatch, tmp_path):
-    """It passes the trial, and then no source is waited for but the first."""
+def test_a_hanging_compiler_is_killed_with_its_children(cache, caplog, monkeypatch, tmp_path):
+    """It passes the trial and hangs at the first source; later sources do not wait for it."""
     real, log = native.compiler()[0], tmp_path / "children"
     forget()
     text = f"""[ "$1" = --version ] && exec {real} --version
@@ -154,16 +154,16 @@ exec {real} "$@" < "$TMPDIR"/in"""
     monkeypatch.setenv("CC", program(tmp_path, "hanging-cc", text))
     monkeypatch.setattr(native, "_PATIENCE", 1.0)
     assert [native.library(SOURCE + "\n" * i) for i in range(5)] == [None] * 5
-    (line,) = said(caplog)
-    assert "it is not done after 1 s, so equations run as Python" in line
+    (line,) = warnings_of(caplog)
+    assert "it exceeds 1 s, so equations run as Python" in line
     (child,) = map(int, log.read_text().split())
     with suppress(ProcessLookupError):
         os.kill(child, 0)
-        assert Path(f"/proc/{child}/stat").read_text().split()[2] == "Z", "dead, but not yet waited for"
+        assert Path(f"/proc/{child}/stat").read_text().split()[2] == "Z", "a zombie process"
 
 
 @needs_compiler
-def test_a_compiler_that_hangs_at_once_is_passed_over(cache, monkeypatch, tmp_path):
+def test_a_compiler_that_hangs_at_once_is_skipped(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", program(tmp_path, "hanging-cc", "sleep 1000"))
     monkeypatch.setattr(native, "_PATIENCE", 1.0)
     assert result() == 3
@@ -171,7 +171,7 @@ def test_a_compiler_that_hangs_at_once_is_passed_over(cache, monkeypatch, tmp_pa
 
 @needs_compiler
 def test_damaged_libraries_are_built_again(cache):
-    """No library, an empty file, and a library of something else, whose symbol is missing."""
+    """A text file, an empty file, and a library of another source, without the symbol."""
     assert result() == 3
     (file,) = libraries(cache)
     other = file.read_bytes().replace(b"auv_gym_", b"auv_no__")
@@ -187,8 +187,8 @@ def test_damaged_libraries_are_built_again(cache):
 
 @needs_compiler
 @pytest.mark.parametrize("reason", ["failed to map segment from shared object", "Too many open files"])
-def test_a_good_library_is_kept_where_it_cannot_be_loaded(cache, caplog, monkeypatch, reason):
-    """As in a home that is mounted noexec: the library of another machine on the same disk."""
+def test_a_library_that_cannot_be_loaded_is_kept(cache, caplog, monkeypatch, reason):
+    """For example in a home folder that is mounted noexec on one of two machines."""
     assert result() == 3
     (file,) = libraries(cache)
     before = file.stat()
@@ -204,13 +204,13 @@ def test_a_good_library_is_kept_where_it_cannot_be_loaded(cache, caplog, monkeyp
     assert result() == 3
     after = file.stat()
     assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-    (line,) = said(caplog)
+    (line,) = warnings_of(caplog)
     assert reason in line
 
 
 @needs_compiler
-def test_code_of_others_is_not_loaded(cache, monkeypatch):
-    """A library in the folder of another user, in one where others may write, and behind a link."""
+def test_code_of_other_users_is_not_loaded(cache, monkeypatch):
+    """A library of another user, in the folder of one, writable by others, in a writable folder, behind a link."""
     assert result() == 3
     (file,) = libraries(cache)
     good = file.read_bytes()
@@ -228,7 +228,7 @@ def test_code_of_others_is_not_loaded(cache, monkeypatch):
         forget()
 
     place()
-    assert result() == 4, "else this test would show nothing"
+    assert result() == 4, "the planted library is loaded"
     place(folder_mode=0o777)
     assert result() == 3
     place(file_mode=0o775)
@@ -244,11 +244,11 @@ def test_code_of_others_is_not_loaded(cache, monkeypatch):
     assert result() == 3
     place()
     with monkeypatch.context() as patch:
-        given_to_others(file, patch)
+        change_owner(file, patch)
         assert result() == 3
     place()
     with monkeypatch.context() as patch:
-        given_to_others(cache, patch)
+        change_owner(cache, patch)
         assert result() == 3
         assert file.read_bytes() == planted
 
@@ -258,26 +258,26 @@ def test_code_of_others_is_not_loaded(cache, monkeypatch):
 def test_empty_and_relative_folders_count_as_not_set(cache_variable, xdg, monkeypatch, tmp_path):
     for name, value in (("AUV_GYM_CACHE", cache_variable), ("XDG_CACHE_HOME", xdg), ("HOME", str(tmp_path))):
         monkeypatch.delenv(name, raising=False) if value is None else monkeypatch.setenv(name, value)
-    first, temporary = kept.cache_folders()
+    first, temporary = cache_module.cache_folders()
     assert first == tmp_path / ".cache" / "auv_gym"
     assert temporary.is_absolute()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert next(kept.cache_folders()) == tmp_path / "auv_gym"
+    assert next(cache_module.cache_folders()) == tmp_path / "auv_gym"
     monkeypatch.setenv("AUV_GYM_CACHE", str(tmp_path))
-    assert next(kept.cache_folders()) == tmp_path
+    assert next(cache_module.cache_folders()) == tmp_path
 
 
 @needs_compiler
-def test_without_any_folder_python_takes_over(cache, caplog, monkeypatch):
-    """A container whose disk is read-only."""
+def test_without_a_folder_equations_run_as_python(cache, caplog, monkeypatch):
+    """For example in a container with a read-only disk."""
     cache.write_text("a file where the folder should be")
 
-    def full():
+    def read_only():
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr(kept, "_temporary", full)
+    monkeypatch.setattr(cache_module, "_temporary", read_only)
     assert native.library(SOURCE) is None
-    (line,) = said(caplog)
+    (line,) = warnings_of(caplog)
     assert "cannot be kept in" in line
     assert "equations run as Python" in line
     monkeypatch.delenv(native.CACHE)
@@ -285,18 +285,18 @@ def test_without_any_folder_python_takes_over(cache, caplog, monkeypatch):
     monkeypatch.setenv("HOME", "nowhere")
     forget()
     assert native.library(SOURCE) is None
-    assert "there is no folder for compiled code" in said(caplog)[-1]
+    assert "there is no folder for compiled code" in warnings_of(caplog)[-1]
 
 
 @needs_compiler
-def test_a_compiler_needs_no_temporary_folder_of_its_own(cache, monkeypatch, tmp_path):
+def test_a_compiler_needs_no_other_temporary_folder(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path / "missing"))
     assert result() == 3
 
 
 @needs_compiler
-def test_a_full_disk_costs_the_cache_alone(cache, caplog, monkeypatch):
-    """What fits is the trial; the compiler itself says that there is no room."""
+def test_with_a_full_disk_code_is_compiled_but_not_kept(cache, caplog, monkeypatch):
+    """There is space for the trial only; the compiler reports the error."""
     real = native._compile
 
     def compile_(command, source, made, flags):
@@ -306,27 +306,27 @@ def test_a_full_disk_costs_the_cache_alone(cache, caplog, monkeypatch):
 
     monkeypatch.setattr(native, "_compile", compile_)
     assert result() == 3
-    (line,) = said(caplog)
+    (line,) = warnings_of(caplog)
     assert "No space left on device" in line
 
 
 @needs_compiler
-def test_the_cache_has_a_bound(cache):
-    """A build removes what was not used for 90 days and what killed builds have left, and nothing else."""
+def test_unused_libraries_are_removed(cache):
+    """A build removes libraries that were not used for 90 days and the folders of killed builds, nothing else."""
     assert result() == 3
     (old,) = libraries(cache)
     (trial,) = set(cache.glob("*.so")) - {old}
-    left, running = cache / f"{kept.BUILD}left", cache / f"{kept.BUILD}running"
+    left, running = cache / f"{cache_module.BUILD}left", cache / f"{cache_module.BUILD}running"
     for folder in (left, running):
         folder.mkdir()
         (folder / "half").touch()
     foreign = cache / "notes.txt"
     foreign.touch()
     for path in (old, trial, left, foreign):
-        os.utime(path, (0, time.time() - 91 * kept.DAY))
+        os.utime(path, (0, time.time() - 91 * cache_module.DAY))
     forget()
     assert native.compiler() is not None
-    assert time.time() - trial.stat().st_mtime < kept.DAY, "it was used"
+    assert time.time() - trial.stat().st_mtime < cache_module.DAY, "it was used"
     assert native.library(SOURCE + "\n") is not None
     assert not old.exists()
     assert not left.exists()
@@ -336,17 +336,17 @@ def test_the_cache_has_a_bound(cache):
 
 
 @needs_compiler
-def test_a_worker_process_does_not_repeat_the_line(cache, caplog, monkeypatch):
+def test_a_worker_process_does_not_repeat_the_warning(cache, caplog, monkeypatch):
     import multiprocessing
 
     cache.write_text("a file where the folder should be")
     monkeypatch.setattr(multiprocessing, "parent_process", object)
     assert result() == 3
-    assert not said(caplog)
+    assert not warnings_of(caplog)
 
 
 @needs_compiler
-def test_word_size_and_processor_belong_to_the_name(cache, monkeypatch):
+def test_file_names_depend_on_word_size_and_processor(cache, monkeypatch):
     assert result() == 3
     monkeypatch.setattr(native.struct, "calcsize", lambda _: 4)
     forget()
@@ -368,7 +368,7 @@ CPUINFO = {
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no /proc")
 @pytest.mark.parametrize("kind", CPUINFO)
-def test_processors_of_other_instructions_have_other_keys(kind, monkeypatch):
+def test_keys_of_processors_depend_on_their_instruction_sets(kind, monkeypatch):
     def key(text):
         monkeypatch.setattr(Path, "read_text", lambda *_, **__: text)
         native._processor.cache_clear()
@@ -382,7 +382,7 @@ def test_processors_of_other_instructions_have_other_keys(kind, monkeypatch):
 
 
 @needs_compiler
-def test_processes_that_build_at_once_share_one_library(cache):
+def test_concurrent_builds_leave_one_library(cache):
     code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r}).auv_test"
     environment = {**os.environ, native.CACHE: str(cache)}
     running = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
@@ -392,7 +392,7 @@ def test_processes_that_build_at_once_share_one_library(cache):
 
 @needs_compiler
 def test_an_interrupt_ends_the_compiler(cache, tmp_path):
-    """It is in a session of its own, where Ctrl-C does not reach it."""
+    """It runs in its own session, which does not receive Ctrl-C."""
     compiler = program(tmp_path, "slow-cc", f"echo $$ > {tmp_path}/pid\nexec sleep 1000")
     code = f"from auv_gym.codegen import native; native.library({SOURCE!r})"
     environment = {**os.environ, native.CACHE: str(cache), "CC": compiler}
@@ -417,14 +417,14 @@ for seed in range(3):
 
 
 @needs_compiler
-def test_the_first_use_says_in_one_line_that_it_compiles_and_the_next_says_nothing(cache):
-    """Three libraries: the planner's, that of the exogenous inputs, and that of the vehicle with its law."""
+def test_only_the_first_use_prints_that_it_compiles(cache):
+    """There are three libraries: of the planner, of the exogenous inputs, and of the vehicle with its control law."""
     environment = {**os.environ, native.CACHE: str(cache)}
-    said = []
+    printed = []
     for _ in range(2):
         done = subprocess.run(
             [sys.executable, "-c", FIRST_USE], env=environment, capture_output=True, text=True, check=True
         )
-        said.append(done.stderr)
-        assert len([*cache.glob("*.so")]) == 4  # and that of the trial
-    assert said == ["auv_gym: compiling the equations of motion for this machine; this happens once\n", ""]
+        printed.append(done.stderr)
+        assert len([*cache.glob("*.so")]) == 4  # three and that of the trial
+    assert printed == ["auv_gym: compiling the equations of motion for this machine; this happens once\n", ""]

@@ -1,4 +1,4 @@
-"""Dead reckoning between position fixes: against its own equations, formulas of its drift, on every back end."""
+"""Dead reckoning between position fixes: compared with its equations, formulas of its drift and all back ends."""
 
 import cmath
 import dataclasses
@@ -46,7 +46,7 @@ DEEP = {scenario.name: scenario for scenario in deep_worlds()}
 OFTEN = RandomReckoning(
     interval=(1.0, 3.0), scale=(-0.1, 0.1), misalignment=(-0.1, 0.1), drift=(-0.01, 0.01), walk=0.01
 )
-ROUGH = dataclasses.replace(  # all errors at once, large enough to be seen in a few seconds
+ROUGH = dataclasses.replace(  # all errors, large enough for an effect within a few seconds
     PRESETS["cruise-storm"],
     name="rough",
     steps=150,
@@ -55,44 +55,44 @@ ROUGH = dataclasses.replace(  # all errors at once, large enough to be seen in a
 
 
 def world(observation, reference):
-    """Return measured position as a complex number."""
+    """Return the measured position as a complex number."""
     o = decode_observation(observation)
     return complex(o.e_x, o.e_y) * complex(o.cos_psi, o.sin_psi) + complex(reference.x, reference.y)
 
 
-def test_the_measured_position_is_reckoned_and_corrected():
-    """Against complex numbers, from the true positions and what the tape says of sensors and fixes."""
+def test_the_measured_position_is_dead_reckoned_and_corrected():
+    """Compared with complex numbers, for the true positions and the samples of sensors and fixes."""
     env, rng = UnderactuatedAUVTrackEnv(ROUGH), np.random.default_rng(0)
     episode = dataclasses.replace(ROUGH.draw(rng), outages=((5.0, 9.0),))
-    tape, dt = samples(ROUGH, [episode])[:, :, 0], ROUGH.control_dt
+    inputs, dt = samples(ROUGH, [episode])[:, :, 0], ROUGH.control_dt
     observation, _ = env.reset(options={"episode": episode})
-    before, estimate, shares = complex(*env.state[:2]), None, []
+    before, estimate, gains = complex(*env.state[:2]), None, []
     log = (1 + episode.reckoning.scale) * cmath.exp(1j * episode.reckoning.misalignment)
-    for k, row in enumerate(tape):
+    for k, row in enumerate(inputs):
         position, psi = complex(*env.state[:2]), env.state[2]
         fix, n = position + complex(row[SAMPLE.n_x], row[SAMPLE.n_y]), complex(row[SAMPLE.n_u], row[SAMPLE.n_v])
-        turn, share = cmath.exp(1j * row[SAMPLE.n_psi]), row[SAMPLE.fix]
+        turn, gain = cmath.exp(1j * row[SAMPLE.n_psi]), row[SAMPLE.fix]
         reckoned = (
             fix if estimate is None else estimate + turn * (log * (position - before) + n * cmath.exp(1j * psi) * dt)
         )
-        estimate, before = reckoned + share * (fix - reckoned), position
+        estimate, before = reckoned + gain * (fix - reckoned), position
         assert world(observation, env.reference) == pytest.approx(estimate, abs=1e-9), k
-        shares.append(share)
+        gains.append(gain)
         V = complex(*env.state[3:5]) * log + n
         o = decode_observation(observation)
         assert complex(o.u_e + env.reference.u, o.v_e + env.reference.v) == pytest.approx(V, abs=1e-9)
         if k < ROUGH.steps:
             observation, *_ = env.step(rng.uniform(-0.5, 0.5, 2))
-    times = dt * np.flatnonzero(shares)
+    times = dt * np.flatnonzero(gains)
     expected = [t for t in episode.reckoning.fixes if not 5.0 <= math.ceil(t / dt - 1e-9) * dt < 9.0 - 1e-9]
     np.testing.assert_allclose(times[1:], np.ceil(np.array(expected) / dt - 1e-9) * dt, atol=1e-9)
-    assert shares[0] == 1.0
-    assert all(0 < share < 1 for share in shares if share not in (0.0, 1.0))
+    assert gains[0] == 1.0
+    assert all(0 < gain < 1 for gain in gains if gain not in (0.0, 1.0))
 
 
 @pytest.mark.parametrize(("scale", "angle"), [(0.01, 0.0), (0.0, 0.02), (-0.02, -0.01)])
-def test_on_a_straight_line_the_error_grows_with_the_way(scale, angle):
-    """By |(1 + scale) exp(i angle) - 1| of it, whether it is the log or the gyro that is turned."""
+def test_on_a_straight_line_the_error_grows_with_the_distance(scale, angle):
+    """The ratio is |(1 + scale) exp(i angle) - 1|, with half of the angle in the log and half in the gyro."""
     sensors = Sensors(reckoning=RandomReckoning(1e4, scale, angle / 2, 0.0, 0.0), heading_bias=angle / 2)
     scenario = Scenario(path=Line(1.0), sensors=sensors, steps=500)
     errors = navigation_errors(scenario, [scenario.draw(np.random.default_rng(0))])[:, 0]
@@ -100,7 +100,7 @@ def test_on_a_straight_line_the_error_grows_with_the_way(scale, angle):
     np.testing.assert_allclose(errors, share * 0.1 * np.arange(501), atol=1e-9)
 
 
-def test_on_a_circle_the_error_comes_back():
+def test_on_a_circle_the_error_is_periodic():
     sensors = Sensors(reckoning=RandomReckoning(1e4, 0.02, 0.0, 0.0, 0.0))
     scenario = Scenario(path=Circle(0.5, 0.05), sensors=sensors, steps=round(20 * math.pi / 0.05))
     errors = navigation_errors(scenario, [scenario.draw(np.random.default_rng(0))])[:, 0]
@@ -108,8 +108,8 @@ def test_on_a_circle_the_error_comes_back():
     assert errors[-1] < 1e-3
 
 
-def test_the_heading_walks_and_drifts():
-    """Its mean is drift * t, its variance walk^2 * t, and increments of different times have nothing in common."""
+def test_the_heading_error_is_a_drift_and_a_random_walk():
+    """Its mean is drift * t, its variance walk^2 * t, and its increments are independent."""
     rng, dt, n = np.random.default_rng(1), 0.2, 501
     errors = np.array([heading_errors(0.002, 0.03, dt, n, rng) for _ in range(4000)])
     assert (errors[:, 0] == 0).all()
@@ -120,8 +120,8 @@ def test_the_heading_walks_and_drifts():
     assert abs(np.corrcoef(*halves)[0, 1]) < 0.06
 
 
-def test_noise_of_the_log_makes_the_position_walk():
-    """Variance velocity^2 * dt * t on each axis."""
+def test_noise_of_the_log_is_a_random_walk_of_the_position():
+    """The variance is velocity^2 * dt * t on each axis."""
     sensors = Sensors(velocity=0.05, reckoning=RandomReckoning(1e4, 0.0, 0.0, 0.0, 0.0))
     scenario = Scenario(path=Circle(0.5, 0.05), sensors=sensors, steps=400)
     rng = np.random.default_rng(2)
@@ -130,7 +130,7 @@ def test_noise_of_the_log_makes_the_position_walk():
         assert squares[k] == pytest.approx(2 * 0.05**2 * 0.1 * 0.1 * k, rel=0.15)
 
 
-def test_fixes_come_as_often_as_they_should():
+def test_rate_of_fixes():
     reckoning, rng = RandomReckoning(), np.random.default_rng(3)
     drawn = [reckoning.draw(rng, 300.0) for _ in range(300)]
     gaps = np.concatenate([np.diff((0.0, *d.fixes)) for d in drawn])
@@ -142,30 +142,32 @@ def test_fixes_come_as_often_as_they_should():
         assert np.mean(np.square(values)) == pytest.approx(high**2 / 3, rel=0.2)
 
 
-WAYS, TIMES = (20.0, 11.0, 28.0, 15.0, 60.0, 12.0), (20.0, 11.0, 28.0, 15.0, 60.0, 12.0)
+DISTANCES, TIMES = (20.0, 11.0, 28.0, 15.0, 60.0, 12.0), (20.0, 11.0, 28.0, 15.0, 60.0, 12.0)
 
 
-def test_the_filter_knows_its_error():
-    """The variance P before each fix, K = P / (P + fix^2), is that of 200,000 errors that go through it."""
+def test_the_variance_of_the_filter_is_that_of_its_error():
+    """The variance P before each fix, K = P / (P + fix^2), is that of 200,000 simulated errors."""
     fix, drift, bias, noise = 1.5, 2e-4, 1e-5, 1e-3
-    gains, rng = FixFilter(fix, drift, bias, noise).gains(WAYS, TIMES), np.random.default_rng(4)
+    gains, rng = FixFilter(fix, drift, bias, noise).gains(DISTANCES, TIMES), np.random.default_rng(4)
     constant, error = rng.standard_normal(200_000), fix * rng.standard_normal(200_000)
-    for way, time, K in zip(WAYS, TIMES, gains, strict=True):
-        error += math.hypot(math.sqrt(drift) * way, math.sqrt(bias) * time) * constant
+    for distance, time, K in zip(DISTANCES, TIMES, gains, strict=True):
+        error += math.hypot(math.sqrt(drift) * distance, math.sqrt(bias) * time) * constant
         error += math.sqrt(noise * time) * rng.standard_normal(200_000)
         assert error.var() == pytest.approx(K / (1 - K) * fix**2, rel=0.02)
         after = [(error + k * (fix * rng.standard_normal(200_000) - error)).var() for k in (0.8 * K, K, 1.2 * K)]
-        assert after[1] < min(after[0], after[2])  # no other gain is better at this fix
+        assert after[1] < min(after[0], after[2])  # the gain is optimal
         error += K * (fix * rng.standard_normal(200_000) - error)
 
 
 def test_gains_in_the_limits():
-    assert FixFilter(2.0, 0.0, 0.0, 0.0).gains(WAYS, TIMES) == pytest.approx([1 / k for k in range(2, 8)])  # a mean
-    assert FixFilter(0.0, 0.0, 0.0, 0.0).gains(WAYS, TIMES) == [1.0] * 6  # fixes without an error
-    assert FixFilter(1e-9, 1e-4, 0.0, 0.0).gains(WAYS, TIMES) == pytest.approx([1.0] * 6)
+    assert FixFilter(2.0, 0.0, 0.0, 0.0).gains(DISTANCES, TIMES) == pytest.approx(
+        [1 / k for k in range(2, 8)]
+    )  # a mean
+    assert FixFilter(0.0, 0.0, 0.0, 0.0).gains(DISTANCES, TIMES) == [1.0] * 6  # fixes without an error
+    assert FixFilter(1e-9, 1e-4, 0.0, 0.0).gains(DISTANCES, TIMES) == pytest.approx([1.0] * 6)
 
 
-def test_the_filter_is_told_how_good_the_sensors_are():
+def test_parameters_of_the_filter_for_the_sensors():
     sensors = dataclasses.replace(INSTRUMENTS, reckoning=RandomReckoning(20.0, 0.03, 0.0, 0.0, 0.0), heading_bias=0.04)
     assert sensors.fix_filter(0.1, 100.0) == FixFilter(
         1.5, pytest.approx(0.05**2 / 2), pytest.approx(0.005**2 / 3), pytest.approx(0.01**2 * 0.1)
@@ -174,8 +176,8 @@ def test_the_filter_is_told_how_good_the_sensors_are():
     assert drifting.mean_square_drift(0.0, 100.0) == pytest.approx((9e-8 / 3 * 100**2 / 3 + 1e-6 * 50) / 2)
 
 
-def test_all_back_ends_reckon_the_same():
-    """Beside vehicles with outages and with neither, which are what they are alone."""
+def test_all_back_ends_agree_in_dead_reckoning():
+    """Also beside vehicles with outages and without; all equal the scalar environments."""
     patchy = dataclasses.replace(PRESETS["cruise-storm"], sensors=Sensors(position=0.1, outages=20.0))
     mixed = [ROUGH, DEEP["cruise-deep-storm"], patchy, PRESETS["cruise-storm"]]
     arrays = gym.make_vec(TRACK, 4, vectorization_mode="vector_entry_point", scenario=mixed)
@@ -193,14 +195,14 @@ def test_all_back_ends_reckon_the_same():
         alone = np.array([env.step(a)[0] for env, a in zip(scalars, actions, strict=True)])
 
 
-def test_training_differentiates_it(monkeypatch):
-    """The gradient of the compiled loop is torch's own, and a step's that of finite differences."""
+def test_gradients_of_training(monkeypatch):
+    """The gradient of the compiled loop equals that of torch, and that of a step finite differences."""
     monkeypatch.setitem(PRESETS, "rough", ROUGH)
     torch.manual_seed(0)
     net = torch_network(Gru(len(FEATURES), 8, 8, 8)).to(torch.float64)
     torch.nn.init.normal_(net.head.weight, std=0.5)
     mine, theirs = (Setting(["rough", "cruise-storm"], net, steps=12) for _ in range(2))
-    assert mine.vehicle_names.parts.reckoned
+    assert mine.vehicles.parts.reckoned
     value, _ = mine.run()
     found = torch.cat([p.grad.ravel() for p in net.parameters()])
     net.zero_grad()
@@ -223,14 +225,14 @@ def test_training_differentiates_it(monkeypatch):
     assert torch.autograd.gradcheck(outputs, (state,), eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
-def test_nothing_else_of_an_episode_changes():
+def test_dead_reckoning_changes_nothing_else_of_an_episode():
     plain = dataclasses.replace(ROUGH, sensors=dataclasses.replace(ROUGH.sensors, reckoning=None))
     mine, theirs = (s.draw(np.random.default_rng(6)) for s in (ROUGH, plain))
     assert dataclasses.replace(mine, reckoning=None) == theirs
-    tapes = samples(ROUGH, [mine]), samples(plain, [theirs])
-    kept = [i for i in range(tapes[0].shape[1]) if i not in (SAMPLE.n_psi, SAMPLE.fix)]
-    np.testing.assert_array_equal(tapes[0][:, kept], tapes[1][:, kept])
-    assert np.abs(tapes[0][:, NOISE] - tapes[1][:, NOISE]).max() > 0.01
+    inputs = samples(ROUGH, [mine]), samples(plain, [theirs])
+    kept = [i for i in range(inputs[0].shape[1]) if i not in (SAMPLE.n_psi, SAMPLE.fix)]
+    np.testing.assert_array_equal(inputs[0][:, kept], inputs[1][:, kept])
+    assert np.abs(inputs[0][:, NOISE] - inputs[1][:, NOISE]).max() > 0.01
 
 
 @pytest.mark.parametrize(
@@ -249,24 +251,24 @@ def test_bad_reckonings_are_refused(changes, message):
         RandomReckoning(**changes)
 
 
-def test_mistakes_are_told():
+def test_messages_of_mistakes():
     with pytest.raises(ValueError, match="sensors reckoning is 20; it must be a RandomReckoning or None"):
         Sensors(reckoning=20)
     with pytest.raises(ValueError, match="reckoning has no entry 'fixes'; allowed are interval, scale"):
         Scenario.from_dict({"sensors": {"reckoning": {"fixes": 3}}})
     episode = dataclasses.replace(Scenario().draw(np.random.default_rng(0)), reckoning=Reckoning())
-    with pytest.raises(ValueError, match="the episode has a dead reckoning, which scenario 'custom' has not"):
+    with pytest.raises(ValueError, match="the episode has a dead reckoning, but scenario 'custom' has none"):
         Scenario().parameters(episode)
 
 
 @pytest.mark.parametrize("suffix", ["json", "toml"])
-def test_files_hold_it(tmp_path, suffix):
+def test_dead_reckoning_in_files(tmp_path, suffix):
     for scenario in (ROUGH, Scenario(sensors=Sensors(reckoning=RandomReckoning()))):
         scenario.save(tmp_path / f"deep.{suffix}")
         assert Scenario.load(tmp_path / f"deep.{suffix}") == scenario
 
 
-def test_the_deep_suite_is_what_it_says():
+def test_the_deep_suite():
     suite = suites.load_suite("deep-v1")
     assert [cell.scenario for cell in suite.cells] == list(DEEP.values())
     assert [f"{r}-{c}" for r in ("slow", "cruise") for c in ("deep", "deep-current", "deep-storm")] == list(DEEP)
@@ -285,7 +287,7 @@ def test_the_deep_suite_is_what_it_says():
     ]
 
 
-def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation():
+def test_error_of_a_controller_that_keeps_its_estimate_on_the_reference():
     cell = suites.load_suite("deep-v1").cells[3]
     episodes = [dataclasses.replace(e, initial_error=(0.0, 0.0, 0.0), surge=1.0) for e in cell.episodes[:6]]
     floor = navigation_rmses(Cell(cell.scenario, episodes))
@@ -294,7 +296,7 @@ def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation
     assert np.corrcoef(steady_rmses, floor)[0, 1] > 0.9
 
 
-def test_the_page_tells_the_instruments():
+def test_the_page_has_the_parameters_of_the_sensors():
     text = (Path(__file__).parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
     s, r = INSTRUMENTS, INSTRUMENTS.reckoning
     for words in (
@@ -311,7 +313,7 @@ def test_the_page_tells_the_instruments():
         assert words in text
 
 
-def test_results_have_the_error_of_the_navigation_and_what_each_policy_adds():
+def test_results_have_the_navigation_error_and_the_additional_errors_of_policies():
     suite = suites.load_suite("deep-v1")
     few = dataclasses.replace(
         suite,

@@ -1,4 +1,4 @@
-"""Paths: derivatives against mpmath, smoothness, stacking, invariance, the benchmark's draws, errors."""
+"""Paths: derivatives against mpmath, smoothness, stacking, invariance, random paths, errors raised."""
 
 import json
 import math
@@ -64,7 +64,7 @@ def speed_and_turn_rate(d):
     return v, (d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]) / v**2
 
 
-# Independent positions, z = x + iy in the path's own frame, as mpmath functions of time.
+# Independent formulas of the position, z = x + iy in the path's own frame, in mpmath.
 
 
 def sine_position(p, t):
@@ -110,7 +110,7 @@ VELOCITIES = {Lawnmower: lawnmower_velocity, RandomSmooth: random_smooth_velocit
 
 
 def reference(path, t):
-    """Position and three derivatives at 40 digits by numerical differentiation, shape (4, 2)."""
+    """Return position and three derivatives, (4, 2), by numerical differentiation with 40 digits."""
     with mp.workdps(40):
         if type(path) in POSITIONS:
             z = [mp.diff(lambda s: POSITIONS[type(path)](path, s), mp.mpf(t), n) for n in range(4)]
@@ -132,7 +132,7 @@ def test_derivatives_equal_numerical_ones(path):
 @pytest.mark.parametrize("path", [p for p in SAMPLES if type(p) in VELOCITIES], ids=name_of)
 @pytest.mark.parametrize("until", [-23.0, 11.0, 64.0])
 def test_position_is_the_integral_of_velocity(path, until):
-    edges = np.linspace(0.0, until, 2001)  # fine enough for the Lawnmower's joins, where the fourth derivative jumps
+    edges = np.linspace(0.0, until, 2001)  # fine enough for the jumps of the Lawnmower's fourth derivative
     nodes, weights = np.polynomial.legendre.leggauss(8)
     t = edges[:-1, None] + np.diff(edges)[:, None] * (nodes + 1) / 2
     order = np.argsort(t.ravel())
@@ -200,7 +200,7 @@ def test_paper_circle():
     np.testing.assert_allclose(PAPER_CIRCLE.derivatives(t)[0], expected, atol=1e-14)
 
 
-def test_lawnmower_is_continuous_across_its_joins_and_keeps_its_speed():
+def test_lawnmower_is_continuous_and_has_constant_speed():
     path = Lawnmower(1.3, 20.0, -11.0, **POSE)
     leg, period = 20.0 / 1.3, 20.0 / 1.3 + path.turn_time
     joins = np.array([k * period + offset for k in range(-2, 3) for offset in (0.0, leg)])
@@ -281,7 +281,7 @@ def test_spline_time_law_holds_for_random_waypoints(steps):
     points = tuple((float(x), y) for x, (_, y, _) in zip(np.cumsum([dx for dx, _, _ in steps]), steps, strict=True))
     try:
         path = Spline(points, 1.0, tuple(v for _, _, v in steps))
-    except ValueError as refused:  # uneven legs may make the speed dip below zero between them
+    except ValueError as refused:  # with uneven legs the interpolated speed may become negative
         if "the speed must stay positive" in str(refused):
             reject()
         raise
@@ -290,7 +290,7 @@ def test_spline_time_law_holds_for_random_waypoints(steps):
     np.testing.assert_allclose(np.hypot(*velocity), path.speeds, rtol=1e-10)
 
 
-def test_spline_survives_its_fields():
+def test_spline_can_be_made_from_its_fields():
     path = SPLINES[1]
     assert Spline(**asdict(path)) == path
     assert Spline([list(p) for p in WAYPOINTS], 0.9, list(SPEEDS)) == path
@@ -310,7 +310,7 @@ def test_stack_equals_single_paths(family):
     np.testing.assert_allclose(stack(paths).speed, [path.speed for path in paths], rtol=1e-15)
 
 
-def test_evaluate_keeps_the_order_of_a_mixture():
+def test_evaluate_paths_keeps_the_order_of_families():
     class Own:
         speed, start, end = 1.0, -math.inf, math.inf
 
@@ -334,16 +334,16 @@ def test_shapes_and_protocol(path):
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=name_of)
-def test_analytic_families_have_no_ends(path):
+def test_domains_of_families_are_unbounded(path):
     assert (path.start, path.end) == (-math.inf, math.inf)
 
 
-# The benchmark's draws
+# Random paths
 
 
 @pytest.mark.parametrize("family", RANDOM_FAMILIES)
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.2, 0.04), (1.0, 0.12)])
-def test_drawn_paths_are_mild_and_of_the_asked_speed(family, speed, turn_rate):
+def test_random_paths_have_the_speed_and_limited_turn_rates(family, speed, turn_rate):
     paths = drawn_paths(family, 200, speed, turn_rate)
     d = evaluate_paths(paths, np.linspace(0.0, 20 / turn_rate, 801))
     v, rate = speed_and_turn_rate(d)
@@ -361,11 +361,11 @@ def test_drawn_paths_are_mild_and_of_the_asked_speed(family, speed, turn_rate):
 
 
 @pytest.mark.parametrize(("family", "field"), [(Circle, "turn_rate"), (Ellipse, "frequency"), (Lawnmower, "spacing")])
-def test_drawn_paths_turn_both_ways(family, field):
+def test_random_paths_turn_in_both_directions(family, field):
     assert 30 < sum(getattr(path, field) > 0 for path in drawn_paths(family, 100)) < 70
 
 
-def test_draws_are_a_function_of_the_uniform_numbers():
+def test_random_paths_are_functions_of_the_uniform_numbers():
     for family in RANDOM_FAMILIES:
         assert drawn_paths(family, 3) == drawn_paths(family, 3)
 
@@ -433,7 +433,7 @@ def test_wrong_fields_are_refused(family, fields, message):
         ((WAYPOINTS, 1.0, 2.0), r"speeds must be none or one for each of 7 waypoints, got 2\.0"),
         ((WAYPOINTS[:2], 1.0, (1.0, -2.0)), r"speeds must be finite and positive, got -2\.0 at waypoint 1"),
         ((WAYPOINTS[:4], 1.0, (2.0, 0.01, 0.01, 2.0)), r"must stay positive, got -.* between waypoints 1 and 2"),
-        ((((0, 0), (5, 0), (0, 0)), 1.0), r"turns back on itself near waypoint 1, \(5\.0, 0\.0\)"),
+        ((((0, 0), (5, 0), (0, 0)), 1.0), r"reverses its direction near waypoint 1, \(5\.0, 0\.0\)"),
     ],
 )
 def test_wrong_splines_are_refused(arguments, message):
@@ -448,6 +448,6 @@ def test_spline_refuses_times_outside_its_domain(t):
 
 
 @pytest.mark.parametrize("paths", [(), SAMPLES[:2], SPLINES[:2]])
-def test_stack_refuses_what_is_not_one_elementwise_family(paths):
+def test_stack_refuses_other_sequences_of_paths(paths):
     with pytest.raises(ValueError, match=r"stack takes paths of one family out of Circle, .*, got"):
         stack(paths)

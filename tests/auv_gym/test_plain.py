@@ -1,4 +1,4 @@
-"""Graphs and networks as plain functions: the numbers of where they come from, in C and JavaScript."""
+"""Graphs and networks printed as plain functions in C and JavaScript give the same numbers."""
 
 import ctypes
 import json
@@ -17,18 +17,18 @@ from auv_gym.codegen.vectors import Program, plain_program
 from auv_gym.physics.namespaces import FLOATS
 
 
-def test_hyperbolic_tangent_is_within_a_rounding_error_of_one():
+def test_error_of_the_hyperbolic_tangent():
     for x in (0.0, 1e-9, 0.3, -0.7, 2.0, -5.0, 19.0, 40.0, 800.0, -math.inf, math.inf):
         assert hyperbolic_tangent(x, "float64", FLOATS) == pytest.approx(math.tanh(x), abs=3e-16)
     assert math.isnan(hyperbolic_tangent(math.nan, "float64", FLOATS))
 
 
 def shared(source, precision):
-    """Return the library of functions that are static in a header."""
+    """Return the library of a source, with its static functions exported."""
     real = {"float32": "float", "float64": "double"}[precision]
     library = native.library(f"#include <math.h>\ntypedef {real} real;\n{source.replace('static void', 'void')}")
     if library is None:
-        pytest.skip("plain functions run compiled")
+        pytest.skip("there is no compiler")
     return library
 
 
@@ -37,7 +37,7 @@ def address(array):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_an_array_may_be_read_and_written_at_once(precision):
+def test_a_function_may_read_and_write_the_same_array(precision):
     graph = Graph()
     a, b = graph.input("pair_0"), graph.input("pair_1")
     results = {"pair": [b, a + b], "seen": [a < b, SYMBOLS.clip(a, -1.0, 1.0), SYMBOLS.sin(b)]}
@@ -54,7 +54,7 @@ W, COLUMN = np.arange(12.0).reshape(4, 3) / 7 - 0.8, np.array([[0.1], [-0.2], [0
 
 
 def network(x, h):
-    """Compute with everything that is recorded, in place too."""
+    """Return a result of every operation that can be recorded, some of them in place."""
     y = np.dot(W, x)
     y += COLUMN
     np.tanh(y, y)
@@ -94,17 +94,17 @@ def test_a_network_runs_as_loops_in_javascript():
 
 
 @pytest.mark.parametrize("function", [np.exp, np.sum, np.add.reduce])
-def test_what_is_not_recorded_is_refused(function):
-    with pytest.raises(TypeError, match="of a vector is not recorded"):
+def test_other_functions_of_vectors_are_refused(function):
+    with pytest.raises(TypeError, match="of a vector cannot be recorded"):
         Program.traced(lambda x: [function(x)], {}, {"x": 3}, ["y"])
 
 
-def test_a_vector_is_not_read_where_a_part_of_it_was_changed():
+def test_a_vector_with_a_changed_part_is_refused():
     def function(x):
         y = x + 1.0
         part = y[1:]
         part *= 2.0
         return (y[:2],)
 
-    with pytest.raises(ValueError, match="part was changed in place"):
+    with pytest.raises(ValueError, match="part of this vector was changed in place"):
         Program.traced(function, {}, {"x": 3}, ["y"])

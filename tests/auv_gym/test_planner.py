@@ -1,4 +1,4 @@
-"""The planner: the paper's numbers, exactness open loop, its own differential equation, symmetries and refusals."""
+"""The planner: numbers of the paper, open-loop accuracy, the sideslip equation, symmetries, errors raised."""
 
 import math
 import pickle
@@ -32,8 +32,14 @@ from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
-VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
-TURN = 0.4075575636029479  # share of a lawnmower's turn in its width: legs and turns below take 9 s and 12 s
+CROSSED = replace(
+    FINNED, X_vv=10.0, X_vr=20.0, X_rr=5.0, Y_rv=60.0, Y_vr=20.0, Y_rr=10.0, N_vv=15.0, N_rv=10.0, N_vr=80.0
+)
+COMPILED = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
+VEHICLES = pytest.mark.parametrize(
+    "vehicle", [PAPER_VEHICLE, ROUGH, FINNED, CROSSED], ids=["linear", "quadratic", "lift", "cross-flow"]
+)
+TURN = 0.4075575636029479  # width over arc length of a lawnmower's turn; legs take 9 s, turns 12 s
 PATHS = {
     "line": Line(0.5, heading=1.0),
     "circle": Circle(0.5, 0.1, 3.0, -2.0, 0.4),
@@ -67,9 +73,10 @@ def test_section_iii_numbers():
     ("name", "vehicle"),
     [(name, PAPER_VEHICLE) for name in PATHS]
     + [(name, ROUGH) for name in ("circle", "ellipse", "figure_eight", "fast_circle")]  # |v| v has a kink at v = 0
-    + [(name, FINNED) for name in ("ellipse", "fast_circle")],
+    + [(name, FINNED) for name in ("ellipse", "fast_circle")]
+    + [(name, CROSSED) for name in ("ellipse", "fast_circle")],
 )
-def test_planned_forces_alone_keep_a_plant_on_its_path(name, vehicle):
+def test_planned_forces_keep_the_vehicle_on_its_path_in_open_loop(name, vehicle):
     """Runge-Kutta steps of h with the forces at both ends and the middle; above 0.68 m/s errors grow in open loop."""
     h, end = 0.01, 12 if name in ("fast_circle", "fast_sine", "spline") else 25
     R = plan(PATHS[name], vehicle, np.arange(0, end + h / 4, h / 2))
@@ -90,7 +97,7 @@ def test_planned_forces_alone_keep_a_plant_on_its_path(name, vehicle):
 
 
 def sideslip(path, vehicle, times, start):
-    """Solve gam' = -(m om + D tan(gam)) / Dm, D = d22 + Yuv u + Yvv |v| + m22 vp'/vp, by a tight integrator."""
+    """Integrate gam' = -(m om + D tan(gam)) / Dm, D = d22 + Yuv u + Yvv |v| + m22 vp'/vp, with small tolerances."""
     m = vehicle.m11 - vehicle.Y_ur
 
     def rate(t, gamma):
@@ -105,22 +112,31 @@ def sideslip(path, vehicle, times, start):
     return solve_ivp(rate, span, [start], "DOP853", times, rtol=1e-10, atol=1e-12, max_step=0.5).y[0]
 
 
+@pytest.mark.parametrize("name", ["circle", "sine", "random_smooth"])
+def test_cross_flow_that_vanishes_leaves_the_plan(name):
+    """Two planners, one answer: the equation that is linear in the yaw rate, and the one that is not."""
+    t, vanishing = 0.1 * np.arange(200), replace(FINNED, X_vv=1e-13)
+    plain, crossed = (plan(PATHS[name], vehicle, t).table for vehicle in (FINNED, vanishing))
+    size = np.abs(plain).max(axis=0)
+    np.testing.assert_allclose(crossed / size, plain / size, rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", PATHS)
-@VEHICLES
+@COMPILED
 def test_sideslip_solves_its_differential_equation(name, vehicle):
-    """At the control periods in use, from a start of the planner's choice: a run-in makes it the one of long ago."""
+    """From the planner's initial value, which after the run-in is that of a start at t = -30 s."""
     t, path = 0.1 * np.arange(201), PATHS[name]
     R = plan(path, vehicle, t)
     np.testing.assert_allclose(R.gamma, sideslip(path, vehicle, t, R.gamma[0]), rtol=0, atol=1e-5)
     np.testing.assert_allclose(R.gamma, np.arctan2(R.v, R.u), rtol=0, atol=1e-14)
     if path.start < 0:
-        long_ago = np.array([-30.0, 0.0])
-        assert R.gamma[0] == pytest.approx(sideslip(path, vehicle, long_ago, 0.0)[1], abs=1e-5)
+        earlier = np.array([-30.0, 0.0])
+        assert R.gamma[0] == pytest.approx(sideslip(path, vehicle, earlier, 0.0)[1], abs=1e-5)
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """Another path from t = 0 on."""
+    """A path restricted to t >= 0."""
 
     path: Path
     start, end = 0.0, math.inf
@@ -131,7 +147,7 @@ class Bounded:
 
 @pytest.mark.parametrize("name", ["circle", "sine", "ellipse", "figure_eight", "random_smooth", "fast_sine"])
 @VEHICLES
-def test_without_a_run_in_the_sideslip_starts_near_that_of_long_ago(name, vehicle):
+def test_initial_sideslip_without_a_run_in_is_close(name, vehicle):
     t = 0.1 * np.arange(100)
     error = np.abs(plan(PATHS[name], vehicle, t).gamma - plan(Bounded(PATHS[name]), vehicle, t).gamma)
     assert error[0] < 4e-3
@@ -146,7 +162,7 @@ def test_steady_sideslip_on_circles_up_to_its_limit(turn_rate, dt):
 
 
 @pytest.mark.parametrize("path", [PATHS["sine"], PATHS["ellipse"], PATHS["fast_sine"]])
-def test_error_falls_at_least_with_the_cube_of_the_time_step(path):
+def test_error_is_of_third_order_in_the_time_step(path):
     fine, *coarse = (plan(path, PAPER_VEHICLE, np.linspace(0, 20, n * 200 + 1)).F_r[::n] for n in (16, 1, 2))
     error = [np.abs(F_r - fine).max() for F_r in coarse]
     assert error[0] < 1e-3
@@ -176,7 +192,7 @@ def test_mirrored_path_has_the_mirrored_reference(path, mirrored, vehicle):
 @pytest.mark.parametrize("dt", [0.1, 0.2])
 @pytest.mark.parametrize("names", [["circle", "sine", "random_smooth", "sine"], [*PATHS], ["spline"]])
 @VEHICLES
-def test_batch_is_each_path_alone(names, vehicle, dt):
+def test_batch_equals_single_paths(names, vehicle, dt):
     t, paths = dt * np.arange(100), [PATHS[name] for name in names]
     batch, alone = plan(paths, vehicle, t), [plan(path, vehicle, t) for path in paths]
     assert batch.table.shape == (100, 8, len(paths))
@@ -187,9 +203,9 @@ def test_batch_is_each_path_alone(names, vehicle, dt):
 @pytest.mark.skipif(driver() is None, reason="there is no compiler")
 @pytest.mark.parametrize("times", [0.1 * np.arange(150), 2.5 + 0.7 * np.arange(20), np.array([0.0, 0.3])], ids=len)
 @pytest.mark.parametrize("name", PATHS)
-@VEHICLES
-def test_the_compiled_form_is_the_python_one(name, vehicle, times):
-    """In periods with one sample or several, samples refined or not, a path's integral from 0 on or not."""
+@COMPILED
+def test_compiled_plans_equal_plans_in_python(name, vehicle, times):
+    """With one sample or several per period, with and without refinement, from t = 0 and from a later time."""
     planner, path, rest = Planner(vehicle, times), PATHS[name], np.empty((3, len(times)))
     compiled = np.vstack((planner._compiled(path, rest).T, rest))
     table, others = planner._in_python(path)
@@ -200,7 +216,7 @@ def test_the_compiled_form_is_the_python_one(name, vehicle, times):
 
 
 @pytest.mark.skipif(driver() is None, reason="there is no compiler")
-def test_both_forms_refuse_the_same_paths():
+def test_compiled_code_and_python_refuse_the_same_paths():
     rng, limits = np.random.default_rng(0), (160.0, 60.0)
     planner = Planner(FINNED, 0.1 * np.arange(100), limits, fin=200.0)
     refused = 0
@@ -247,7 +263,7 @@ def test_path_rates_are_derivatives_of_each_other():
 
 @dataclass(frozen=True)
 class Braking:
-    """A straight run x = t - .05 t^2 at y = 2: it slows down, stands still at t = 10 s and comes back."""
+    """The straight path x = t - .05 t^2, y = 2, whose speed is zero at t = 10 s."""
 
     speed = 1.0
     start, end = 0.0, 20.0
@@ -259,7 +275,7 @@ class Braking:
 
 @dataclass(frozen=True)
 class Clothoid:
-    """A curve whose turn rate grows as t/2 [rad/s^2] at 1 m/s: position by Fresnel's integrals."""
+    """A clothoid with turn rate t/2 [rad/s] at 1 m/s; its position is given by Fresnel integrals."""
 
     speed = 1.0
     start, end = 0.0, math.inf
@@ -280,7 +296,7 @@ class Clothoid:
         (Clothoid(), 9, "the sideslip exceeds 80 degrees", 2 * math.tan(MAX_SIDESLIP) / 2.15),
     ],
 )
-def test_infeasible_reference_is_refused_with_time_and_place(path, end, condition, time):
+def test_infeasible_references_are_refused_with_time_and_place(path, end, condition, time):
     for paths in (path, [Line(1.0), path]):
         with pytest.raises(InfeasibleReferenceError, match="infeasible at t") as caught:
             plan(paths, PAPER_VEHICLE, 0.1 * np.arange(10 * end + 1))
@@ -289,14 +305,14 @@ def test_infeasible_reference_is_refused_with_time_and_place(path, end, conditio
         assert caught.value.place == tuple(path.derivatives(np.array([caught.value.time]))[0, :, 0])
 
 
-def test_a_turn_on_the_spot_is_refused():
-    there_and_back = replace(PATHS["ellipse"], semi_x=5.0, semi_y=1e-9)
+def test_a_reversal_of_direction_is_refused():
+    flat = replace(PATHS["ellipse"], semi_x=5.0, semi_y=1e-9)
     with pytest.raises(InfeasibleReferenceError, match="speed passes through zero"):
-        plan(there_and_back, PAPER_VEHICLE, 0.1 * np.arange(600))
+        plan(flat, PAPER_VEHICLE, 0.1 * np.arange(600))
 
 
 @pytest.mark.parametrize(("name", "unit"), [("F_u", "N"), ("F_r", "N m")])
-def test_force_beyond_its_limit_is_refused_where_it_first_is(name, unit):
+def test_first_force_beyond_its_limit_is_reported(name, unit):
     path, t = PATHS["figure_eight"], 0.1 * np.arange(600)
     R = plan(path, PAPER_VEHICLE, t)
     largest = {force: float(np.abs(getattr(R, force)).max()) for force in ("F_u", "F_r")}
@@ -319,22 +335,22 @@ def test_derivatives_of_another_shape_are_refused(shape):
         def derivatives(self, t):
             return np.ones(shape)
 
-    with pytest.raises(ValueError, match=r"Wrong.derivatives gives an array of shape .* it must be \(4, 2, \d+\)"):
+    with pytest.raises(ValueError, match=r"Wrong.derivatives returns an array of shape .* it must be \(4, 2, \d+\)"):
         plan(Wrong(), PAPER_VEHICLE, 0.1 * np.arange(50))
 
 
-def test_derivatives_may_be_whole_numbers():
-    class Whole:
+def test_derivatives_may_be_integers():
+    class Integers:
         speed, start, end = 1.0, 0.0, math.inf
 
         def derivatives(self, t):
             zero = np.zeros(len(t), dtype=int)
             return np.array([[zero, zero], [zero + 1, zero], [zero, zero], [zero, zero]])
 
-    np.testing.assert_allclose(plan(Whole(), PAPER_VEHICLE, 0.1 * np.arange(50)).F_u, PAPER_VEHICLE.d11)
+    np.testing.assert_allclose(plan(Integers(), PAPER_VEHICLE, 0.1 * np.arange(50)).F_u, PAPER_VEHICLE.d11)
 
 
-def test_refusal_reaches_another_process():
+def test_errors_can_be_pickled():
     error = pickle.loads(pickle.dumps(InfeasibleReferenceError("too fast", 1.5, (2.0, 3.0))))
     assert (error.condition, error.time, error.place) == ("too fast", 1.5, (2.0, 3.0))
     assert str(error) == "infeasible at t = 1.5 s, (x, y) = (2, 3) m: too fast"
@@ -360,7 +376,7 @@ def test_bad_times_are_refused(times, message):
             plan(path, PAPER_VEHICLE, np.array(times))
 
 
-def test_a_path_can_be_planned_to_its_very_end():
+def test_a_path_can_be_planned_to_its_end():
     path = PATHS["spline"]
     R = plan(path, PAPER_VEHICLE, np.linspace(0, path.end, 500))
     np.testing.assert_allclose((R.x[-1], R.y[-1]), path.waypoints[-1], rtol=0, atol=1e-9)
@@ -375,6 +391,6 @@ def test_a_path_can_be_planned_to_its_very_end():
         (Circle(1.0, 0.1), replace(PAPER_VEHICLE, d22=1e4), 1_000_000),
     ],
 )
-def test_work_is_bounded_before_it_is_begun(path, vehicle, steps):
-    with pytest.raises(ValueError, match=r"the plan would need \d+ samples of the path, at most 2097152"):
+def test_plans_with_too_many_samples_are_refused(path, vehicle, steps):
+    with pytest.raises(ValueError, match=r"the plan needs \d+ samples of the path; at most 2097152"):
         plan(path, vehicle, 0.1 * np.arange(steps + 1))

@@ -1,4 +1,4 @@
-"""The preview of the reference: geometry from the path itself, and one answer from every back end."""
+"""The preview of the reference: compared with the path, and equal for all back ends."""
 
 import gymnasium as gym
 import numpy as np
@@ -26,14 +26,14 @@ NOISY = Scenario(
 
 
 def geometry(path, o, k, dt):
-    """Return what the preview should be for a path that goes on for ever, shape (P, 2)."""
+    """Return the expected preview for a path without end, shape (P, 2)."""
     times = dt * np.array([k, *(k + n for n in PERIODS)])
     positions = path.derivatives(times)[0].T
     turn = np.array([[o.cos_psi, o.sin_psi], [-o.sin_psi, o.cos_psi]])
     return (positions[1:] - positions[0]) @ turn.T
 
 
-def test_preview_is_the_path_ahead_along_the_measured_axes():
+def test_preview_is_the_displacement_along_the_path_in_measured_body_axes():
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=NOISY, preview=PERIODS)
     episode = NOISY.draw(np.random.default_rng(5))
     observation, _ = env.reset(seed=0, options={"episode": episode})
@@ -80,7 +80,7 @@ def test_the_terms_do_not_depend_on_the_preview():
     np.testing.assert_array_equal(plain.step(action)[0], ahead.step(action)[0][:SIZE])
 
 
-def test_behind_its_end_a_path_goes_straight_on():
+def test_after_its_end_a_path_is_straight():
     spline = Spline(waypoints=((0.0, 0.0), (6.0, 0.0), (12.0, 2.0), (18.0, 3.0)), speed=1.0)
     steps = int(spline.end / 0.1)
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=Scenario(path=spline, steps=steps), preview=(50, 100))
@@ -104,19 +104,19 @@ def test_gradients_flow_through_the_measured_heading():
     assert action.grad[0, 1] != 0
 
 
-def test_residual_environments_keep_the_experts_preview():
-    class Looking:
+def test_residual_environments_have_the_preview_of_the_expert():
+    class WithPreview:
         preview = PERIODS
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.clip(observation[..., SIZE : SIZE + 2], -1, 1).astype(np.float32), None
 
-    env = baselines.make_residual_env("cruise-noise", expert=Looking())
+    env = baselines.make_residual_env("cruise-noise", expert=WithPreview())
     observation, _ = env.reset(seed=1)
     assert observation in env.observation_space
     assert observation.shape == (SIZE + 2 * len(PERIODS) + 2,)
     np.testing.assert_allclose(observation[-2:], np.clip(observation[SIZE : SIZE + 2], -1, 1), atol=1e-6)
-    rows, _ = baselines.make_residual_vector_env(1, "cruise-noise", expert=Looking()).reset(seed=1)
+    rows, _ = baselines.make_residual_vector_env(1, "cruise-noise", expert=WithPreview()).reset(seed=1)
     np.testing.assert_allclose(rows[0], observation, atol=1e-12)
 
 

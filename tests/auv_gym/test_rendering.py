@@ -1,4 +1,4 @@
-"""The pictures: shape, determinism, what shows where, no display needed, windows that may be closed."""
+"""Pictures: shape, determinism, contents, independence of a display, windows."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ VIEW = View(
 
 
 def picture(view: View = VIEW, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """The first picture of a new renderer."""
+    """Return the first picture of a new renderer."""
     array = Renderer("rgb_array", fps=20.0, size=size).draw(view)
     assert array is not None
     return array
 
 
 def count(array: np.ndarray, color: tuple[int, int, int], tolerance: int = 12) -> int:
-    """How many pixels have about this colour."""
+    """Return the number of pixels of about this colour."""
     return int((np.abs(array.astype(int) - color).max(axis=-1) <= tolerance).sum())
 
 
 @pytest.fixture
 def human(monkeypatch):
-    """A renderer with a window on SDL's dummy display."""
+    """Yield a renderer with a window on the dummy display of SDL."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     renderer = Renderer("human", fps=200.0, size=SIZE)
     yield renderer
@@ -57,7 +57,7 @@ def human(monkeypatch):
 
 
 @pytest.mark.parametrize("size", [(480, 360), (301, 202), (960, 720)])
-def test_array_is_a_contiguous_picture_of_its_own(size):
+def test_pictures_are_contiguous_arrays_and_not_reused(size):
     renderer = Renderer("rgb_array", fps=20.0, size=size)
     first = renderer.draw(VIEW)
     assert first.shape == (size[1], size[0], 3)
@@ -69,7 +69,7 @@ def test_array_is_a_contiguous_picture_of_its_own(size):
     np.testing.assert_array_equal(first, kept)
 
 
-def test_same_history_gives_the_same_pictures():
+def test_the_same_views_give_the_same_pictures():
     views = [VIEW._replace(time=0.1 * k, state=(-1.5 + 0.3 * k, 0.5, 0.1 * k, 1.0, 0.1, 0.1)) for k in range(5)]
     runs = [[renderer.draw(view) for view in views] for renderer in (Renderer("rgb_array", 20.0, SIZE) for _ in "ab")]
     np.testing.assert_array_equal(runs[0], runs[1])
@@ -84,21 +84,21 @@ def test_drawing_again_changes_nothing():
 
 
 @pytest.mark.parametrize("start", [0.0, 3.0])
-def test_a_new_episode_forgets_the_old_one(start):
+def test_a_new_episode_does_not_depend_on_the_last_one(start):
     renderer = Renderer("rgb_array", 20.0, SIZE)
     renderer.draw(VIEW._replace(state=(40.0, 9.0, 1.0, 2.0, 0.0, 0.0)))
     again = VIEW._replace(time=start)
     np.testing.assert_array_equal(renderer.draw(again), picture(again))
 
 
-def test_elapsed_tells_histories_apart():
+def test_elapsed_time_between_views():
     assert elapsed_between(None, VIEW) == math.inf
     assert elapsed_between(VIEW, VIEW) == 0.0
     assert elapsed_between(VIEW, VIEW._replace(time=3.5, title="")) == 0.5
     assert elapsed_between(VIEW, VIEW._replace(time=2.9)) == math.inf
 
 
-def test_vehicle_is_where_the_camera_puts_it():
+def test_position_of_the_vehicle_in_the_picture():
     # Half the height shows 8 m, the middle is (0, 0.5): 22.5 px/m, x to the right.
     array = picture(VIEW._replace(state=(-1.5, 0.5, 0.5 * math.pi, 0.0, 0.0, 0.0)))
     row, column = 180, 240 - round(22.5 * 1.5)
@@ -116,13 +116,13 @@ def test_y_points_up_and_angles_turn_counter_clockwise():
     assert count(up[214 - 22 : 214 - 12, beside], INK, tolerance=30) == 0
 
 
-def test_current_shows_as_arrows_and_only_then():
+def test_arrows_are_drawn_if_there_is_a_current():
     calm = picture()
     flowing = picture(VIEW._replace(current=(0.03, 0.04)))
     assert count(calm, CURRENT_COLOUR) == 0
-    assert count(flowing, CURRENT_COLOUR) > 0  # the legend's arrow
+    assert count(flowing, CURRENT_COLOUR) > 0  # the arrow of the legend
     middle = slice(100, 260), slice(0, 480)
-    assert not np.array_equal(calm[middle], flowing[middle])  # and those in the water
+    assert not np.array_equal(calm[middle], flowing[middle])  # arrows in the scene
 
 
 def test_saturated_bar_turns_red():
@@ -139,7 +139,7 @@ def test_path_ahead_is_darker_than_the_path_done():
     assert count(array[row, 10:180], PLAN, tolerance=60) == 0
 
 
-def test_progress_tells_the_laps_of_a_crossing_path_apart():
+def test_progress_along_a_path_that_crosses_itself():
     s = np.linspace(0.0, 2.0 * math.pi, 400)
     eight = np.column_stack((6.0 * np.sin(s), 3.0 * np.sin(2.0 * s)))
     renderer = Renderer("rgb_array", 20.0, SIZE)
@@ -159,7 +159,7 @@ def test_vehicle_and_reference_stay_in_the_picture(error):
         assert ((place > 40.0) & (place < renderer._canvas.extent - 40.0)).all()
 
 
-def test_zoom_has_no_jerks():
+def test_zoom_is_smooth():
     renderer = Renderer("rgb_array", 20.0, SIZE)
     scales = []
     for k in range(40):
@@ -187,7 +187,7 @@ def test_import_is_lazy_and_arrays_need_no_display():
     subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=60)
 
 
-def test_missing_pygame_says_what_to_install(monkeypatch):
+def test_the_error_for_missing_pygame_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(DependencyNotInstalled, match=r"drawing needs pygame: pip install .*\[render\]"):
         Renderer("rgb_array", 20.0)
@@ -215,7 +215,7 @@ def test_both_environments_take_a_size_and_keep_it_in_their_spec(env_id):
         gym.make(f"auv_gym:{env_id}", render_size=(10, 10))
 
 
-def test_small_pictures_show_the_scene_alone():
+def test_small_pictures_have_no_text():
     small, readable = picture(size=(84, 84)), picture(size=(320, 240))
     assert count(small, WHITE, 0) == 0
     assert count(readable, WHITE, 0) > 0.1 * 320 * 240
@@ -223,7 +223,7 @@ def test_small_pictures_show_the_scene_alone():
 
 
 @pytest.mark.parametrize("size", [(480, 360), (960, 720), (1920, 1440)])
-def test_a_closeup_leaves_no_trace_around_what_it_shows(size):
+def test_a_closeup_changes_only_its_own_pixels(size):
     canvas = Canvas(pygame, size)
     canvas.fill(SEA_COLOUR)
     canvas.line([(0.0, 100.0), (900.0, 700.0)], PLAN, 3.0)
@@ -238,8 +238,8 @@ def test_a_closeup_leaves_no_trace_around_what_it_shows(size):
         assert (low - 4) * canvas.unit <= places.min() < places.max() <= (high + 4) * canvas.unit
 
 
-def test_a_picture_costs_no_more_than_a_few_of_cart_pole():
-    """Processor time of both in turn, so that a busy machine slows them alike; measured are 1.7 of CartPole's."""
+def test_a_picture_takes_less_than_three_times_the_time_of_cart_pole():
+    """By processor time of both environments in turn; the measured ratio is 1.7."""
     env = gym.make(
         "auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", render_mode="rgb_array", render_size=SIZE
     )
@@ -269,7 +269,7 @@ def test_close_is_idempotent(human):
     assert not pygame.display.get_init()
 
 
-def test_window_paces_to_fps(human):
+def test_the_frame_rate_of_the_window_is_limited(human):
     human.draw(VIEW)
     start = time.perf_counter()
     human._fps = 10.0
@@ -278,7 +278,7 @@ def test_window_paces_to_fps(human):
     assert time.perf_counter() - start > 0.2
 
 
-def test_user_may_close_the_window(human):
+def test_the_user_can_close_the_window(human):
     assert human.draw(VIEW) is None
     assert pygame.display.get_init()
     pygame.event.post(pygame.event.Event(pygame.QUIT))

@@ -1,4 +1,4 @@
-"""Scenarios: presets, files, and refusal of what they do not know."""
+"""Scenarios: presets, files and errors of unknown entries."""
 
 import json
 import math
@@ -32,7 +32,7 @@ EVERYTHING = Scenario(
 )
 
 
-def test_presets_are_the_paper_and_every_case_in_both_speed_ranges():
+def test_presets_are_the_paper_and_all_cases_in_both_speed_ranges():
     assert set(PRESETS) == {"paper-circle"} | {f"{r}-{c}" for r in ("slow", "cruise") for c in CASES}
 
 
@@ -61,7 +61,7 @@ def test_every_family_can_be_drawn(family):
     assert all(type(scenario.draw(rng).path) is PATHS[family] for _ in range(3))
 
 
-def test_random_signs_reach_all_eight_combinations():
+def test_random_signs_have_all_eight_combinations():
     rng = np.random.default_rng(0)
     errors = {PRESETS["paper-circle"].draw(rng).initial_error for _ in range(200)}
     assert len(errors) == 8
@@ -149,7 +149,7 @@ BIG = "9" * 400
     ],
     ids=range(15),
 )
-def test_files_meant_to_break_the_reader_are_refused_in_one_error(text, tmp_path):
+def test_malicious_files_are_refused_with_one_error(text, tmp_path):
     file = tmp_path / "scenario.json"
     file.write_bytes(text.replace("BIG", BIG).encode("latin-1"))
     with pytest.raises(ValueError, match=r"scenario\.json"):
@@ -167,7 +167,7 @@ def test_deeply_nested_toml_fifos_and_giants_are_refused(tmp_path):
             Scenario.load(file)
 
 
-def test_a_path_of_the_users_own_cannot_be_written(tmp_path):
+def test_a_user_defined_path_cannot_be_written(tmp_path):
     class MyPath(Circle):
         pass
 

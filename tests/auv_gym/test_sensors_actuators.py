@@ -1,4 +1,4 @@
-"""Actuators against their differential equation, the low-pass against SciPy, and what both refuse."""
+"""Actuators compared with their differential equation, the low-pass with SciPy, and errors of both."""
 
 import dataclasses
 import math
@@ -34,13 +34,13 @@ def test_response_is_the_first_order_lag(lag):
 
 
 @given(forces, forces)
-def test_without_lag_a_command_acts_at_once(force, command):
+def test_without_lag_a_command_acts_immediately(force, command):
     mean, end = respond(force, command, Response.of(0.0, INF, INF, 0.1), FLOATS)
     assert mean == end == pytest.approx(command, abs=1e-12)
 
 
 @given(forces, forces, st.floats(0, 2), st.floats(1, 1e4), st.floats(1, 1e4))
-def test_forces_stay_between_start_and_command_and_change_no_faster_than_their_rate(force, command, lag, fast, slow):
+def test_forces_are_between_start_and_command_and_within_the_rate_limit(force, command, lag, fast, slow):
     dt = 0.2
     mean, end = respond(force, command, Response.of(lag, fast, slow, dt), FLOATS)
     for before, wanted, middle, after, rate in zip(force, command, mean, end, (fast, slow), strict=True):
@@ -48,14 +48,14 @@ def test_forces_stay_between_start_and_command_and_change_no_faster_than_their_r
         assert min(before, wanted) - 1e-9 <= min(middle, after) <= max(middle, after) <= max(before, wanted) + 1e-9
 
 
-def test_rate_limit_is_reached_in_as_many_steps_as_it_takes():
+def test_forces_change_at_the_rate_limit():
     force, response = (0.0, 0.0), Response.of(0.0, 100.0, 50.0, 0.1)
     for _ in range(7):
         _, force = respond(force, (65.0, -40.0), response, FLOATS)
     assert force == pytest.approx((65.0, -35.0))
 
 
-def test_actuators_of_arrays_are_those_of_floats():
+def test_actuators_of_arrays_equal_those_of_floats():
     rng = np.random.default_rng(0)
     force, command = 100 * rng.normal(size=(2, 2, 5))
     lags, rates = [0.0, 0.1, 0.2, 0.5, 1.0], [200.0, INF, 50.0, 300.0, INF]
@@ -66,21 +66,21 @@ def test_actuators_of_arrays_are_those_of_floats():
 
 
 @pytest.mark.parametrize("cut_off", [0.05, 0.5, 4.0])
-def test_low_pass_is_the_held_first_order_filter(cut_off):
+def test_low_pass_is_the_first_order_filter_with_zero_order_hold(cut_off):
     dt, rng = 0.1, np.random.default_rng(1)
     gain = Sensors(low_pass=cut_off).filter_gain(dt)
     w = 2 * math.pi * cut_off
     numerator, denominator, _ = cont2discrete(([w], [1.0, w]), dt, method="zoh")
     measured = rng.normal(scale=0.3, size=(200, 6))
     measured[0] = 0.0
-    expected = lfilter(numerator[0, 1:], denominator, measured, axis=0)  # without the hold's delay of one step
+    expected = lfilter(numerator[0, 1:], denominator, measured, axis=0)  # without the delay of one step of the hold
     filtered = [(0.0,) * 6]
     for row in measured[1:].tolist():
         filtered.append(low_pass(filtered[-1], row, gain, FLOATS))
     np.testing.assert_allclose(filtered, expected, rtol=0, atol=1e-12)
 
 
-def test_no_low_pass_takes_every_measurement_as_it_is():
+def test_without_low_pass_measurements_do_not_change():
     assert Sensors().filter_gain(0.1) == 1.0
     assert low_pass((1.0,) * 6, (2.0,) * 6, 1.0, FLOATS) == (2.0,) * 6
 
@@ -89,7 +89,7 @@ def test_no_low_pass_takes_every_measurement_as_it_is():
 @pytest.mark.parametrize(
     ("before", "measured", "after"), [(3.0, -3.0, 3.0707963), (-3.1, 3.1, -3.1207963), (0.2, 0.6, 0.3)]
 )
-def test_heading_is_filtered_the_short_way_round(before, measured, after, ns):
+def test_heading_is_filtered_along_the_shorter_arc(before, measured, after, ns):
     heading = low_pass((0, 0, before, 0, 0, 0), (0, 0, measured, 0, 0, 0), 0.25, ns)[2]
     assert heading == pytest.approx(after, abs=1e-7)
     assert -math.pi <= heading < math.pi
@@ -118,8 +118,8 @@ def test_bad_parameters_are_refused(make, arguments, message):
         make(**arguments)
 
 
-def test_loss_weakens_what_acts_and_is_not_told():
-    """Half of the force is left: an action acts as half of it, while limits and previous action are seen as before."""
+def test_effectiveness_reduces_the_force_and_is_not_observed():
+    """At effectiveness 0.5 an action gives half of the force; observed limits and previous action do not change."""
     whole = Scenario(steps=20)
     weak = dataclasses.replace(whole, actuators=Actuators(effectiveness=0.5))
     (a, first), (b, second) = ((env, env.reset(seed=1)[0]) for env in map(UnderactuatedAUVTrackEnv, (whole, weak)))
@@ -133,7 +133,7 @@ def test_loss_weakens_what_acts_and_is_not_told():
     np.testing.assert_array_equal(also[15:17], [0.4, -0.2])
 
 
-def test_losses_are_drawn_for_each_actuator_and_shift_no_other_draw():
+def test_effectiveness_is_drawn_for_each_actuator_and_changes_no_other_draw():
     whole = Scenario(start=PAPER_SCENARIO.start)
     weak = dataclasses.replace(whole, actuators=Actuators(effectiveness=(0.3, 0.9)))
     a, b = (s.draw(np.random.default_rng(5)) for s in (whole, weak))

@@ -1,4 +1,4 @@
-"""One control step in literal numbers: reward, measurements, saturation, and what the actuators can reach."""
+"""One control step in literal numbers: reward, measurements, saturation and limits of the actuators."""
 
 import math
 
@@ -11,7 +11,7 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import ERROR_TERMS, Observation
 from auv_gym.task.simulation import Parts, Plant, Sample, Shear, start, step
 
-AT_ONCE = (1.0, 1.0, math.inf, math.inf)
+IMMEDIATE = (1.0, 1.0, math.inf, math.inf)
 CONSTANTS = (
     Scenario()
     .parameters(Scenario().draw(np.random.default_rng(0)))
@@ -20,7 +20,7 @@ CONSTANTS = (
         coefficients=PAPER_VEHICLE.coefficients,
         F_u_max=400.0,
         F_r_max=200.0,
-        response=AT_ONCE,
+        response=IMMEDIATE,
         filter_gain=1.0,
         error_scale=0.5,
         rate_weight=0.05,
@@ -39,7 +39,7 @@ CONSTANTS = (
 STILL = Sample(*(0.0,) * 19, fix=1.0)
 
 
-def begun(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):
+def first_plant(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):
     return start(state, sample, p, FLOATS)[0]
 
 
@@ -54,8 +54,8 @@ def begun(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):
     ],
 )
 def test_reward_of_a_step(before, now, cost):
-    """The vehicle is taken along by hand, so that its position error is 0.3 and 0.4 m: half a metre, one scale."""
-    plant = begun()._replace(a_u=before[0], a_r=before[1])
+    """The reference is set so that the position error is (0.3, 0.4) m: 0.5 m, which is the error scale."""
+    plant = first_plant()._replace(a_u=before[0], a_r=before[1])
     weak = CONSTANTS._replace(thrust_u=0.0, thrust_r=0.0)
     _, _, (reward, failed, squared_error, _) = step(plant, now, STILL._replace(x_R=0.3, y_R=-0.4), weak, FLOATS)
     assert squared_error == pytest.approx(0.25, abs=1e-15)
@@ -93,7 +93,7 @@ def test_velocities_are_measured_over_ground():
     ],
 )
 def test_saturation_on_both_sides_of_each_actuator(action, saturated):
-    assert step(begun(), action, STILL, CONSTANTS, FLOATS)[2][3] is saturated
+    assert step(first_plant(), action, STILL, CONSTANTS, FLOATS)[2][3] is saturated
     rows = tuple(np.array([a]) for a in action)
     sample = [np.array([s]) for s in STILL]
     plant, _ = start((np.zeros(1),) * 6, sample, CONSTANTS, ARRAYS)
@@ -101,37 +101,37 @@ def test_saturation_on_both_sides_of_each_actuator(action, saturated):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_each_actuator_has_its_own_limit_and_reach(sign):
+def test_each_actuator_has_its_own_limit_and_saturation_level(sign):
     weak = CONSTANTS._replace(thrust_u=300.0, thrust_r=100.0, reach_u=0.5, reach_r=0.25, parts=Parts(weak=True))
-    plant, terms, _ = step(begun(), (sign, sign), STILL, weak, FLOATS)
+    plant, terms, _ = step(first_plant(), (sign, sign), STILL, weak, FLOATS)
     assert (plant.F_u, plant.F_r) == pytest.approx((sign * 150.0, sign * 25.0))
-    assert (plant.a_u, plant.a_r) == (sign, sign)  # nobody is told
+    assert (plant.a_u, plant.a_r) == (sign, sign)  # the observation has the commands and nominal limits
     assert (Observation(*terms).F_u_max, Observation(*terms).F_r_max) == (400.0, 200.0)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 3])
-def test_commands_act_as_many_periods_late_as_they_should(delay):
-    late, plant = CONSTANTS._replace(delay=float(delay), parts=Parts(delayed=True)), begun()
+def test_commands_act_after_the_delay(delay):
+    delayed, plant = CONSTANTS._replace(delay=float(delay), parts=Parts(delayed=True)), first_plant()
     sent = [(0.1, -0.5), (0.2, -0.6), (0.3, -0.7), (0.4, -0.8), (0.5, -0.9)]
     acted = []
     for action in sent:
-        plant, _, _ = step(plant, action, STILL, late, FLOATS)
+        plant, _, _ = step(plant, action, STILL, delayed, FLOATS)
         acted.append((plant.F_u / 400.0, plant.F_r / 200.0))
     np.testing.assert_allclose(acted, ([(0.0, 0.0)] * delay + sent)[: len(sent)], atol=1e-15)
 
 
-def test_without_a_fix_the_last_position_stays_and_all_else_goes_on():
-    blind, plant = CONSTANTS._replace(parts=Parts(outages=True)), begun(CONSTANTS._replace(parts=Parts(outages=True)))
-    plant = plant._replace(x=3.0, u=1.0)
-    _, terms, _ = step(plant, (0.0, 0.0), STILL._replace(fix=0.0), blind, FLOATS)
+def test_without_a_fix_the_last_position_is_held_and_other_measurements_continue():
+    outage = CONSTANTS._replace(parts=Parts(outages=True))
+    plant = first_plant(outage)._replace(x=3.0, u=1.0)
+    _, terms, _ = step(plant, (0.0, 0.0), STILL._replace(fix=0.0), outage, FLOATS)
     assert Observation(*terms).e_x == 0.0
     assert Observation(*terms).u_e > 0.9
-    _, terms, _ = step(plant, (0.0, 0.0), STILL, blind, FLOATS)
+    _, terms, _ = step(plant, (0.0, 0.0), STILL, outage, FLOATS)
     assert Observation(*terms).e_x == pytest.approx(3.1, abs=0.01)
 
 
-def test_whatever_is_no_number_any_more_is_lost():
-    nan = begun()._replace(x=math.nan)
+def test_states_that_are_not_numbers_are_failures():
+    nan = first_plant()._replace(x=math.nan)
     assert step(nan, (0.0, 0.0), STILL, CONSTANTS, FLOATS)[2][1] is True
     everything = Plant(*(math.nan,) * 10, memory=nan.memory)
     assert step(everything, (0.0, 0.0), STILL, CONSTANTS, FLOATS)[2][1] is True

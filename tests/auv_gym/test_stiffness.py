@@ -1,4 +1,4 @@
-"""Integration steps that are too long for a vehicle are refused before they blow up."""
+"""Integration steps that are too long for a vehicle are refused before the integration diverges."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 
 STIFF = Vehicle(m11=30.0, m22=60.0, m33=4.0, d11=20.0, d22=60.0, d33=60.0)
@@ -26,7 +26,7 @@ def test_stiff_vehicle_needs_substeps():
         assert np.abs(env.state[3:]).max() < 5
 
 
-def test_stiffest_draw_of_a_mismatch_counts():
+def test_the_stiffest_vehicle_of_a_mismatch_is_checked():
     with pytest.raises(ValueError, match="raise substeps"):
         replace(CALM, mismatch=RandomMismatch(m33=(0.01, 1.0)))
     with pytest.raises(ValueError, match="raise substeps"):
@@ -34,7 +34,7 @@ def test_stiffest_draw_of_a_mismatch_counts():
     replace(CALM, mismatch=RandomMismatch(quadratic=(0.0, 10.0)), substeps=10)
 
 
-def test_extremes_are_as_stiff_as_every_draw():
+def test_extremes_are_at_least_as_stiff_as_all_draws():
     mismatch = PRESETS["cruise-storm"].mismatch
     rng, load = np.random.default_rng(0), (250.0, 0.0, 100.0)
     bound = fastest_rate(mismatch.extremes(PAPER_VEHICLE), load).max()
@@ -44,7 +44,7 @@ def test_extremes_are_as_stiff_as_every_draw():
     assert rates.max() > 0.5 * bound
 
 
-def test_fast_start_and_foreign_vehicle_are_checked_before_anything_changes():
+def test_fast_starts_and_other_vehicles_are_checked_before_anything_changes():
     env = UnderactuatedAUVTrackEnv(replace(CALM, mismatch=RandomMismatch(quadratic=1.0)))
     before = env.reset(seed=3)[0]
     with pytest.raises(ValueError, match="raise substeps"):
@@ -56,9 +56,16 @@ def test_fast_start_and_foreign_vehicle_are_checked_before_anything_changes():
     assert (env.reset(seed=3)[0] == before).sum() >= 6
 
 
+def test_cross_flow_of_zero_changes_no_rate():
+    vehicle = Coefficients(*np.random.default_rng(1).uniform(10, 20, (13, 5)))
+    zero = CrossFlow(*np.zeros((9, 5)))
+    assert fastest_rate((*vehicle, *zero), (9.0, 0.0, 9.0)) == pytest.approx(fastest_rate(vehicle, (9.0, 0.0, 9.0)))
+
+
 @pytest.mark.slow
-def test_no_vehicle_within_the_bound_blows_up():
-    """Random vehicles under full thrust to and fro: speeds stay within a few times those in reach."""
+@pytest.mark.parametrize("crossed", [False, True])
+def test_no_vehicle_within_the_bound_diverges(crossed):
+    """Random vehicles with alternating full thrust: speeds are less than a few times the steady ones."""
     from auv_gym.physics.dynamics import rk4_step
 
     rng, n = np.random.default_rng(0), 20_000
@@ -67,16 +74,29 @@ def test_no_vehicle_within_the_bound_blows_up():
     m11, _, *rest = np.exp(rng.uniform(np.log(low), np.log(high), (n, 12))).T
     *middle, F_u, F_r, dt = rest
     size, arm = np.exp(rng.uniform(np.log(0.1), np.log(500), n)), rng.uniform(0.0, 1.0, n)
-    lift = size, size * arm, size * arm, size * arm**2  # of one fin; each takes away energy
-    coefficients = Coefficients(m11, m11 * rng.uniform(1.02, 3, n), *middle, *lift)
+    lift = size, size * arm, size * arm, size * arm**2  # of one fin, which dissipates energy
+    bare = Coefficients(m11, m11 * rng.uniform(1.02, 3, n), *middle, *lift)
+    coefficients = (*bare, *(_strips(bare, rng) if crossed else ()))
     chosen = fastest_rate(coefficients, (F_u, 0 * F_u, F_r)) * dt < MAX_STIFFNESS
-    coefficients, F_u, F_r, dt = Coefficients(*(c[chosen] for c in coefficients)), F_u[chosen], F_r[chosen], dt[chosen]
+    coefficients, F_u, F_r, dt = [c[chosen] for c in coefficients], F_u[chosen], F_r[chosen], dt[chosen]
     assert chosen.sum() > 3000
+    d11, d33 = coefficients[3], coefficients[5]
     state = tuple(np.zeros(chosen.sum()) for _ in range(6))
     for k in range(400):
         if k % 5 == 0:
             a_u, a_r = rng.choice([-1, 0, 1], (2, chosen.sum()))
         state = rk4_step(state, (a_u * F_u, 0.0, a_r * F_r), coefficients, dt, ns=np)
         assert np.isfinite(state[3:]).all()
-    power = F_u**2 / coefficients.d11 + F_r**2 / coefficients.d33
-    assert (np.abs(state[3]) < 5 * np.sqrt(power / coefficients.d11)).all()
+    power = F_u**2 / d11 + F_r**2 / d33
+    assert (np.abs(state[3]) < 5 * np.sqrt(power / d11)).all()
+
+
+def _strips(c, rng):
+    """Return cross terms of random size and sign that take no more than the damping of sway and yaw gives."""
+    size = np.cbrt(c.N_rr / c.Y_vv)
+    odd_v, odd_r, Y_rv, N_vr = rng.uniform(-1, 1, (4, len(size))) * c.Y_vv * [size, size**2, size, size**2]
+    share = rng.uniform(0.0, 1.0, (2, len(size)))
+    surge = rng.uniform(0, 0.3, len(size)) * c.d22 / 5.0, rng.uniform(-0.5, 0.5, len(size)) * c.m22, 0.2 * c.m11 * size
+    return CrossFlow(
+        *surge, Y_rv, share[0] * odd_v, share[1] * odd_r, (1 - share[0]) * odd_v, (1 - share[1]) * odd_r, N_vr
+    )

@@ -28,17 +28,17 @@ SCALES = {
     "e_x": 1, "e_y": 1, "psi_e": 0.5, "u_e": 0.5, "v_e": 0.5, "r_e": 0.125, "u_R": 0.5, "v_R": 0.5, "r_R": 0.125,
     "F_uR": 128, "F_rR": 64, "cos_psi": 1, "sin_psi": 1, "F_u_max": 128, "F_r_max": 64, "a_u": 1, "a_r": 1, "dt": 0.125,
 }  # fmt: skip
-"""The contract with every trained agent: to change one is to break them. New terms stand behind these."""
+"""The interface of all trained agents, which must not change. New terms are appended."""
 
 
-def test_terms_and_scales_are_those_of_the_contract():
+def test_terms_and_scales_are_those_of_trained_agents():
     known = len(SCALES)
     assert {term.name: term.scale for term in task.TERMS[:known]} == SCALES
     assert task.Observation._fields[:known] == tuple(SCALES)
     np.testing.assert_array_equal(task.decode_observation(np.ones(task.SIZE))[:known], list(SCALES.values()))
 
 
-def test_the_environments_table_is_that_of_the_terms():
+def test_the_table_in_the_docstring_is_that_of_the_terms():
     from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 
     document = UnderactuatedAUVTrackEnv.__doc__ or ""
@@ -49,7 +49,7 @@ def test_the_environments_table_is_that_of_the_terms():
         assert row[:6] == [str(i), term.name, term.unit, f"{term.scale:g}", f"-{bound}", bound]
 
 
-def test_codec_of_floats_rows_and_tensors_is_one():
+def test_floats_rows_and_tensors_are_encoded_alike():
     torch = pytest.importorskip("torch")
     from auv_gym.physics.namespaces import ARRAYS, tensors
 
@@ -69,7 +69,7 @@ def test_forces_become_actions_within_their_limits():
     assert task.action_of((-900.0, 30.0), o, FLOATS) == (-1.0, 0.15)
 
 
-def test_batch_decodes_as_single_observations_do():
+def test_a_batch_is_decoded_as_single_observations():
     rows = np.random.default_rng(0).uniform(-1, 1, (5, task.SIZE + 2))
     batch = task.decode_observation(rows)
     for i, row in enumerate(rows):
@@ -83,18 +83,18 @@ def test_wrong_shape_is_refused(shape):
 
 
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-2, 10))
-def test_reward_peaks_at_zero_error_and_falls_with_distance(near, far, scale):
+def test_reward_is_largest_at_zero_error_and_decreases_with_distance(near, far, scale):
     near, far = sorted((near, far))
     rewards = [task.reward(e * e, 0.0, scale, 0.05, FLOATS) for e in (0.0, near, far)]
     assert rewards[0] == 1.0
     assert rewards[0] >= rewards[1] >= rewards[2] > 0
 
 
-def test_change_of_the_action_costs():
+def test_reward_of_a_change_of_the_action():
     assert task.reward(0.0, 2.0, 1.0, 0.05, FLOATS) == pytest.approx(0.9)
 
 
-def test_lost_is_beyond_the_distance():
+def test_failure_is_beyond_the_lost_distance():
     assert not task.failed(100.0, 10.0)
     assert task.failed(math.nextafter(100.0, math.inf), 10.0)
     assert task.failed(math.nan, 10.0)
@@ -105,5 +105,5 @@ def test_reference_beyond_the_bounds_is_refused():
     table = np.zeros((4, 8))
     task.check_reference(table, span=1)
     table[2, 5] = 9.0
-    with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; at most 8"):
+    with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; an observation holds at most 8"):
         task.check_reference(table, span=1)

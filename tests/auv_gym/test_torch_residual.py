@@ -1,4 +1,4 @@
-"""Residual control on tensors: the numbers of the NumPy environment, and gradients."""
+"""Residual control on tensors: compared with the NumPy environment, and gradients."""
 
 import gymnasium as gym
 import numpy as np
@@ -74,7 +74,7 @@ def test_bad_input_is_refused():
     assert (env.detach() == before).all()
 
 
-def test_make_vec_gives_it():
+def test_make_vec_with_backend_torch():
     env = gym.make_vec(RESIDUAL, 2, vectorization_mode="vector_entry_point", backend="torch", dtype="float64")
     assert isinstance(env, TorchResidualAction)
     assert env.observation_space.shape == (2, SIZE + 2)

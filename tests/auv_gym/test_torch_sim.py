@@ -1,4 +1,4 @@
-"""The torch simulation, held against the NumPy one: numbers, gradients, compilation."""
+"""The torch simulation: comparison with NumPy, gradients, compilation."""
 
 import logging
 import os
@@ -97,7 +97,7 @@ def test_bad_actions_advance_nothing(actions, message):
     assert (sim.step(torch.zeros(3, 2))[0] == twin.step(torch.zeros(3, 2))[0]).all()
 
 
-def test_arrays_are_actions_too_and_observations_their_own_memory():
+def test_actions_may_be_arrays_and_observations_are_copies():
     sim, twin = eager(), eager()
     for s in (sim, twin):
         s.reset(seed=2)[0].fill_(1e3)
@@ -132,7 +132,7 @@ def started(n, scenario="cruise-storm", seed=0):
     sim.reset(seed=seed)
     for _ in range(5):
         sim.step(torch.full((n, 2), 0.1))
-    return sim.state, sim._samples[sim._lanes.row + 1], sim._constants
+    return sim.state, sim._samples[sim._sub_envs.row + 1], sim._constants
 
 
 @pytest.mark.parametrize("scenario", ["cruise-storm", "slow-calm", "paper-circle"])
@@ -150,7 +150,7 @@ def test_gradients_of_one_step_pass_gradcheck(scenario):
 
 
 def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
-    """With the expert in the loop: actuators, sensors, observation, tracking law and reward are all on the way."""
+    """With the expert in the loop: through actuators, sensors, observation, tracking law and reward."""
     n, steps, gains = 2, 50, GAINS["cruise"]
     sim = eager(n, FILTERED)
     sim.reset(seed=1)
@@ -159,7 +159,7 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
     constants = sim._constants.clone()
 
     def total(state, samples, rows, ns, x, stack):
-        """Return the sum of rewards where x perturbs every command; rows of any kind of number."""
+        """Return the sum of rewards, where x is added to each command; rows of any kind of number."""
         p = Parameters.of(rows, Parts(filtered=True))
         plant, action, result = state, (x[0] * 0, x[1] * 0), 0.0
         for sample in samples[1:]:
@@ -190,7 +190,7 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
 
 
 def test_no_nan_gradients_at_zero_error():
-    """The vehicle on its reference, at rest relative to nothing: every square root and absolute value at its corner."""
+    """All values are zero, where square roots and absolute values are not differentiable."""
     constants = started(2, "slow-calm")[2]
     state = torch.zeros(PLANT_ROWS, 2, dtype=torch.float64, requires_grad=True)
     action = torch.zeros(2, 2, dtype=torch.float64, requires_grad=True)
@@ -202,7 +202,7 @@ def test_no_nan_gradients_at_zero_error():
         assert all(torch.isfinite(g).all() for g in grads)
 
 
-def test_the_environment_keeps_the_graph_until_detached_and_ends_cut_it():
+def test_gradients_end_at_detach_and_at_the_end_of_episodes():
     sim = eager(3, {**PRESETS["cruise-storm"].to_dict(), "steps": 6})
     sim.reset(seed=0)
     actions = torch.zeros(10, 3, 2, dtype=torch.float64, requires_grad=True)
@@ -218,7 +218,7 @@ def test_the_environment_keeps_the_graph_until_detached_and_ends_cut_it():
     assert not sim.step(torch.zeros(3, 2))[0].requires_grad
 
 
-def test_a_block_of_tape_may_end_inside_a_rollout():
+def test_gradients_through_the_end_of_a_block_of_samples():
     sim = eager(2)
     sim.reset(seed=0)
     actions = torch.zeros(80, 2, 2, dtype=torch.float64, requires_grad=True)
@@ -241,7 +241,7 @@ def test_compiled_equals_eager_at_several_sizes(compiled):
                 np.testing.assert_allclose(ours.numpy(), exact.numpy(), rtol=1e-5, atol=1e-5)
 
 
-def test_make_vec_gives_the_compiled_environment(compiled):
+def test_make_vec_returns_the_compiled_environment(compiled):
     env = gym.make_vec(TRACK, 5, "vector_entry_point", backend="torch", scenario="cruise-storm")
     assert env.unwrapped._step is compiled
     observation, _ = env.reset(seed=0)
@@ -255,8 +255,8 @@ def test_make_vec_gives_the_compiled_environment(compiled):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch looks, and hides its own warning
-def test_compiled_gradients_equal_eager_ones(compiled):
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch reads it, and hides its own warning
+def test_compiled_gradients_equal_eager_gradients(compiled):
     grads = []
     for fast in (True, False):
         sim = TorchSimulator(6, "cruise-storm", compiled=fast)
@@ -282,7 +282,8 @@ print(sum("C++ compiler" in str(w.message) for w in caught))
 """
 
 
-def test_without_a_compiler_one_warning_and_an_eager_step(tmp_path):
+@pytest.mark.slow
+def test_without_a_compiler_there_is_one_warning_and_the_step_is_eager(tmp_path):
     kept = {k: v for k, v in os.environ.items() if k not in ("CXX", "CC")}
     hidden = {**kept, "PATH": str(tmp_path), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}
     run = subprocess.run(

@@ -1,4 +1,4 @@
-"""A vehicle's own units: the paper's vehicle has factors of one, and similar vehicles are steered alike."""
+"""Units of vehicles: those of the paper have factors of one, and similar vehicles have the same commands."""
 
 import inspect
 import re
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from similar_vehicles import hull, twin
+from similar_vehicles import similar_vehicle, twin
 
 from auv_gym import PRESETS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE, TERMS
@@ -25,25 +25,26 @@ from baselines.similar import Similar, SimilarLaw
 FACTORS = st.floats(-2, 2).map(lambda x: 10**x)
 
 
-def test_units_of_the_coefficients_are_those_behind_the_fields():
-    stated = dict(re.findall(r"^    (\w+): Number  # \[(.+?)\]", inspect.getsource(Coefficients), re.MULTILINE))
+def test_units_of_the_coefficients_are_those_of_the_comments():
+    source = inspect.getsource(Coefficients) + inspect.getsource(CrossFlow)
+    stated = dict(re.findall(r"^    (\w+): Number  # \[(.+?)\]", source, re.MULTILINE))
     assert stated == DIMENSIONS
 
 
-def test_the_papers_vehicle_has_no_factors():
+def test_the_vehicle_of_the_paper_has_factors_of_one():
     assert Units.of(PAPER_VEHICLE) == Units.of(replace(PAPER_VEHICLE, m22=400.0, Y_vv=7.0)) == Units()
     assert in_paper_units(PAPER_VEHICLE) is PAPER_VEHICLE
     assert PAPER.in_paper_units is PAPER
 
 
-def test_a_vehicle_with_its_limits_in_the_papers_units():
+def test_a_vehicle_model_in_the_units_of_the_paper():
     own = twin(Units(2.0, 3.0, 5.0)).in_paper_units
     assert (own.actuators.F_u_max, own.actuators.F_r_max) == (pytest.approx(400.0), pytest.approx(200.0))
     assert (own.turn_rate, own.lag, own.vehicle.speed) == (pytest.approx(0.12), pytest.approx(0.2), 1.5)
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_a_vehicle_in_the_papers_units_has_its_mass_length_and_speed_and_the_same_ratios(name):
+def test_vehicles_in_the_units_of_the_paper_have_the_same_ratios(name):
     mine, similar = vehicle_model(name).vehicle, in_paper_units(vehicle_model(name).vehicle)
     assert Units.of(similar) == Units()
     assert similar.m22 / similar.m11 == pytest.approx(mine.m22 / mine.m11)
@@ -58,9 +59,17 @@ def test_a_vehicle_in_the_papers_units_has_its_mass_length_and_speed_and_the_sam
 @settings(max_examples=30, deadline=None)
 @given(FACTORS, FACTORS, FACTORS)
 def test_the_papers_vehicle_in_any_units_is_the_papers_in_its_own(length, speed, mass):
-    own = in_paper_units(hull(Units(length, length / min(max(speed, 0.01), 10.0), mass)))
+    own = in_paper_units(similar_vehicle(Units(length, length / min(max(speed, 0.01), 10.0), mass)))
     assert own.coefficients == pytest.approx(PAPER_VEHICLE.coefficients, rel=1e-12)
     assert (own.m11, own.m33, own.speed) == (215.0, 80.0, 1.5)
+
+
+def test_cross_flow_keeps_its_ratios_in_other_units():
+    units = Units(2.0, 3.0, 5.0)
+    own = {"Y_vv": 1.0, "N_rr": 1.0} | dict.fromkeys(CrossFlow._fields, 0.1)
+    scaled = {name: x * units.factor(*POWERS[DIMENSIONS[name]]) for name, x in own.items()}
+    vehicle = replace(similar_vehicle(units), **scaled)
+    assert in_paper_units(vehicle).cross_flow == pytest.approx((0.1,) * 9)
 
 
 def run(policy, scenario, steps=40):
@@ -82,7 +91,7 @@ UNITS = Units(2.0, 3.0, 5.0)
 @pytest.mark.parametrize(
     "name", ["backstepping", "integral-normalised", "lqi", "ekf", "nmpc", "helm", "helm:fade"]
 )  # fmt: skip
-def test_similar_vehicles_are_steered_alike(name):
+def test_similar_vehicles_have_the_same_commands(name):
     storm = PRESETS["cruise-storm"]
     other = changed(storm, twin(UNITS))
     policy = make_policy(name, vehicle=other.vehicle)
@@ -97,14 +106,14 @@ def known():
 
 @settings(max_examples=3, deadline=None)
 @given(st.floats(0.3, 3.0), st.floats(0.5, 2.0), FACTORS)
-def test_similar_vehicles_of_any_size_are_steered_alike(known, length, speed, mass):
+def test_similar_vehicles_of_any_size_have_the_same_commands(known, length, speed, mass):
     other = changed(PRESETS["cruise-storm"], twin(Units(length, length / speed, mass)))
-    other = replace(other, control_dt=0.1 * length / speed)  # a scenario rounds it
+    other = replace(other, control_dt=0.1 * length / speed)  # since `adapted` rounds it
     np.testing.assert_allclose(run(make_policy("los-pid", vehicle=other.vehicle), other, steps=20), known, atol=1e-5)
 
 
 def test_a_law_for_another_vehicle_is_a_law_with_its_forces_in_si_units():
-    law, o = make_policy("backstepping", vehicle=hull(UNITS)), np.random.default_rng(0).uniform(0.1, 1.0, 18)
+    law, o = make_policy("backstepping", vehicle=similar_vehicle(UNITS)), np.random.default_rng(0).uniform(0.1, 1.0, 18)
     scaled = [x * UNITS.factor(*POWERS[term.unit]) for x, term in zip(o, TERMS, strict=True)]
     forces = Backstepping().forces(o.tolist())
     assert law.forces(scaled) == pytest.approx(
@@ -113,39 +122,39 @@ def test_a_law_for_another_vehicle_is_a_law_with_its_forces_in_si_units():
     assert traceable(law)
 
 
-def test_shown_columns_behind_the_terms_are_a_preview_or_left_alone():
-    class Seen:
+def test_columns_after_the_terms_are_a_preview_or_unchanged():
+    class Recording:
         preview = (3,)
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            self.shown = observation
+            self.observation = observation
             return np.zeros((1, 2), np.float32), state
 
-    seen = Seen()
+    policy = Recording()
     given = np.ones(SIZE + 4, dtype=np.float32)
-    Similar(seen, UNITS).predict(given)
-    assert seen.shown[0, SIZE:].tolist() == [0.5, 0.5, 1.0, 1.0]
+    Similar(policy, UNITS).predict(given)
+    assert policy.observation[0, SIZE:].tolist() == [0.5, 0.5, 1.0, 1.0]
     assert given.tolist() == [1.0] * (SIZE + 4)  # not changed in place
 
 
 @pytest.mark.parametrize("vehicle", [None, "paper", PAPER_VEHICLE, replace(PAPER_VEHICLE, d22=150.0)], ids=str)
 @pytest.mark.parametrize("name", ["backstepping", "ekf", "helm"])
-def test_nothing_is_wrapped_for_mass_length_and_speed_of_the_papers_vehicle(name, vehicle):
+def test_no_policy_is_wrapped_for_mass_length_and_speed_of_the_paper(name, vehicle):
     assert not isinstance(make_policy(name, vehicle=vehicle), (Similar, SimilarLaw))
 
 
 @pytest.mark.parametrize("name", ["oracle", "clairvoyant"])
-def test_what_looks_behind_the_observation_is_not_wrapped(name):
+def test_privileged_policies_are_not_wrapped(name):
     assert not isinstance(make_policy(name, vehicle="otter"), Similar)
 
 
-def test_a_speed_ranges_agent_warns_of_speeds_in_si_units():
+def test_an_agent_of_a_speed_range_warns_of_speeds_in_si_units():
     policy = make_policy("apg-preview-slow", vehicle="otter")
     with pytest.warns(UserWarning, match=r"trained at reference speeds of 0 to 0.27 m/s") as caught:
         run(policy, changed(PRESETS["cruise-calm"], "otter"), steps=2)
     assert len(caught) == 1
 
 
-def test_a_vehicle_beyond_all_ratios_is_refused():
+def test_a_vehicle_with_extreme_ratios_is_refused():
     with pytest.raises(ValueError, match="in units of its own mass, length and speed the vehicle is out of bounds"):
         make_policy("los-pid", vehicle=replace(PAPER_VEHICLE, m11=1e-6, m33=1e-6, m22=1e6))

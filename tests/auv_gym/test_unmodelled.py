@@ -1,4 +1,4 @@
-"""What nobody is told: late commands, early saturation, lost position fixes, a current that differs by place."""
+"""Unmodelled effects: delayed commands, early saturation, outages of position fixes, a sheared current."""
 
 import dataclasses
 import math
@@ -38,7 +38,7 @@ def actions(n=STEPS, seed=0):
 
 
 def states(scenario, commands):
-    """Return the states at every control instant and the last observation."""
+    """Return the states at all control instants and the last observation."""
     env = UnderactuatedAUVTrackEnv(scenario)
     observation, _ = env.reset(seed=1)
     rows = [env.state]
@@ -49,25 +49,25 @@ def states(scenario, commands):
 
 
 @pytest.mark.parametrize("delay", range(LONGEST_DELAY + 1))
-def test_late_commands_act_as_the_same_commands_sent_later(delay):
+def test_delayed_commands_act_as_the_same_commands_sent_later(delay):
     commands = actions()
-    late, seen = states(dataclasses.replace(WHOLE, actuators=Actuators(lag=0.3, delay=float(delay))), commands)
+    delayed, seen = states(dataclasses.replace(WHOLE, actuators=Actuators(lag=0.3, delay=float(delay))), commands)
     shifted = np.vstack((np.zeros((delay, 2), np.float32), commands))[:STEPS]
-    prompt, _ = states(dataclasses.replace(WHOLE, actuators=Actuators(lag=0.3)), shifted)
-    np.testing.assert_array_equal(late, prompt)
-    assert (seen.a_u, seen.a_r) == tuple(commands[-1].tolist())  # what was sent, not what acts
+    expected, _ = states(dataclasses.replace(WHOLE, actuators=Actuators(lag=0.3)), shifted)
+    np.testing.assert_array_equal(delayed, expected)
+    assert (seen.a_u, seen.a_r) == tuple(commands[-1].tolist())  # the command that was sent
 
 
-def test_early_saturation_cuts_what_acts_and_is_not_told():
+def test_early_saturation_limits_the_force_and_is_not_observed():
     commands = actions()
     weak, seen = states(dataclasses.replace(WHOLE, actuators=Actuators(reach=0.4)), commands)
-    cut, told = states(WHOLE, np.clip(commands, np.float64(-0.4), np.float64(0.4)))
-    np.testing.assert_allclose(weak, cut, rtol=1e-12, atol=1e-12)
-    assert (seen.F_u_max, seen.F_r_max) == (told.F_u_max, told.F_r_max)
+    clipped, expected = states(WHOLE, np.clip(commands, np.float64(-0.4), np.float64(0.4)))
+    np.testing.assert_allclose(weak, clipped, rtol=1e-12, atol=1e-12)
+    assert (seen.F_u_max, seen.F_r_max) == (expected.F_u_max, expected.F_r_max)
     assert (seen.a_u, seen.a_r) == tuple(commands[-1].tolist())
 
 
-def test_without_a_fix_the_measured_position_stands_still():
+def test_without_a_fix_the_measured_position_is_constant():
     scenario = dataclasses.replace(WHOLE, sensors=Sensors(position=0.1, outages=20.0, outage_time=(0.5, 1.0)))
     episode = dataclasses.replace(scenario.draw(np.random.default_rng(0)), outages=((0.55, 1.25), (2.0, 2.2)))
     env, whole = UnderactuatedAUVTrackEnv(scenario), UnderactuatedAUVTrackEnv(scenario)
@@ -91,7 +91,7 @@ def test_without_a_fix_the_measured_position_stands_still():
     assert np.ptp(measured[5:11, 0]) > 0.1
 
 
-def test_outages_come_as_often_and_last_as_long_as_they_should():
+def test_rate_and_duration_of_outages():
     sensors, rng = Sensors(outages=3.0, outage_time=(1.0, 2.0)), np.random.default_rng(2)
     drawn_ = [sensors.draw_outages(rng, 120.0) for _ in range(400)]
     counts = np.array([len(outages) for outages in drawn_])
@@ -102,7 +102,7 @@ def test_outages_come_as_often_and_last_as_long_as_they_should():
     assert 1.0 <= lengths.min() < lengths.max() <= 2.0
 
 
-def test_a_vehicle_in_a_sheared_current_obeys_its_differential_equation():
+def test_a_vehicle_in_a_sheared_current_satisfies_its_differential_equation():
     sheared = dataclasses.replace(
         WHOLE,
         control_dt=0.01,
@@ -114,7 +114,7 @@ def test_a_vehicle_in_a_sheared_current_obeys_its_differential_equation():
     env, action, limits = UnderactuatedAUVTrackEnv(sheared), np.array([0.2, 0.02]), np.array([400.0, 200.0])
     env.reset(options={"episode": episode})
     a_x, a_y, k_x, k_y, phase = episode.current.shear
-    assert a_x * k_x + a_y * k_y == pytest.approx(0.0, abs=1e-12)  # free of divergence
+    assert a_x * k_x + a_y * k_y == pytest.approx(0.0, abs=1e-12)  # zero divergence
     assert 2 * math.pi / math.hypot(k_x, k_y) == pytest.approx(4.0)
 
     def water(x, y):
@@ -156,7 +156,7 @@ def test_a_turning_current_turns():
         np.testing.assert_allclose(env.current, (0.3 * math.cos(angle), 0.3 * math.sin(angle)), atol=1e-12)
 
 
-def test_back_ends_agree_with_everything_wrong():
+def test_back_ends_agree_with_all_faults():
     torch.set_num_threads(1)
     n, options = 4, {"scenario": ALL}
     vector = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", n, vectorization_mode="vector_entry_point", **options)
@@ -178,7 +178,7 @@ def test_back_ends_agree_with_everything_wrong():
             single = [env.reset()[0] for env in scalars]
 
 
-def test_what_is_drawn_shifts_no_other_draw():
+def test_faults_change_no_other_draw():
     plain = PRESETS["cruise-storm"]
     bad = dataclasses.replace(
         plain,
@@ -223,7 +223,7 @@ def test_bad_parameters_are_refused(make, arguments, message):
         make(**arguments)
 
 
-def test_the_oracle_knows_of_all_of_it():
+def test_the_oracle_compensates_all_faults():
     hard = dataclasses.replace(ALL, steps=400, actuators=Actuators(lag=0.2, delay=(1.0, 3.0), reach=(0.6, 0.9)))
     hard = dataclasses.replace(hard, sensors=Sensors(), current=dataclasses.replace(ALL.current, wavelength=40.0))
     episodes = drawn(hard, 12, 3).episodes

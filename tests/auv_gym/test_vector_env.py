@@ -1,4 +1,4 @@
-"""The vector environment, held against scalar environments; its contract with Gymnasium; the residual wrapper."""
+"""The vector environment: comparison with scalar environments, interface of Gymnasium, residual wrapper."""
 
 import importlib
 import re
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from auv_gym.envs.lanes import Lanes, plan_of, planner_of, reference_table
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.envs.sub_environments import SubEnvironments, plan_of, planner_of, reference_table
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
@@ -30,7 +30,7 @@ def vector(env_id=TRACK, n=3, **options):
 
 
 def assert_equals_scalars(env, scalars, steps, *, scale=0.6, seed=10):
-    """Step both with the same actions across autoresets; return how many episodes ended."""
+    """Compare both for the same actions, also after autoresets; return the number of ended episodes."""
     observation, info = env.reset(seed=seed)
     firsts = [scalar.reset(seed=seed + i) for i, scalar in enumerate(scalars)]
     np.testing.assert_allclose(observation, [first for first, _ in firsts], rtol=0, atol=1e-12)
@@ -108,7 +108,7 @@ def test_masked_actions_are_refused():
 
 @pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
 @pytest.mark.parametrize("preview", [(), (2, 5)])
-def test_what_is_returned_lies_in_c_order_and_is_nowhere_twice(env_id, preview):
+def test_returned_arrays_are_in_c_order_and_share_no_memory(env_id, preview):
     options = {"preview": preview} if env_id == TRACK else {}
     env = vector(env_id, scenario={**SHORT["cruise-storm"], "steps": 3}, **options)
     returned = [env.reset(seed=0), *(env.step(np.zeros((3, 2), dtype=np.float32)) for _ in range(3))]
@@ -121,7 +121,7 @@ def test_what_is_returned_lies_in_c_order_and_is_nowhere_twice(env_id, preview):
         assert len(arrays) == len({array.__array_interface__["data"][0] for array in arrays})
 
 
-def test_what_is_no_seed_is_refused_alike_everywhere():
+def test_wrong_seeds_have_the_same_error_in_all_environments():
     for env in (vector(), gym.make(TRACK)):
         for seed in (1.7, -1, True, "a", np.float64(3)):
             with pytest.raises(ValueError, match=re.escape(f"seed is {seed!r}; it must be an integer of at least 0")):
@@ -131,7 +131,7 @@ def test_what_is_no_seed_is_refused_alike_everywhere():
 
 
 @pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
-def test_returned_observations_are_their_own_memory(env_id):
+def test_returned_observations_are_copies(env_id):
     env, twin = (vector(env_id, scenario="cruise-storm") for _ in range(2))
     mask = np.array([True, False, False])
     for action in (None, 0.1, 0.2):
@@ -141,7 +141,7 @@ def test_returned_observations_are_their_own_memory(env_id):
     assert (env.reset(options={"reset_mask": mask})[0] == twin.reset(options={"reset_mask": mask})[0]).all()
 
 
-# Fast turns in a wide range of speeds: about a fourth of the draws cannot be followed.
+# Fast turns in a wide range of speeds: about a quarter of the draws is infeasible.
 HARD = {
     "name": "hard",
     "path": {"speed": [0.2, 1.5], "turn_rate": 0.5, "families": ["circle", "sine"]},
@@ -151,7 +151,7 @@ HARD = {
 }
 
 
-def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
+def test_infeasible_draws_are_repeated_alike_in_all_environments():
     scenario, rng = Scenario.from_dict(HARD), np.random.default_rng(0)
     planner = planner_of(*plan_of(scenario))
     assert 3 < sum(planner.table(scenario.draw(rng).path) is None for _ in range(40)) < 20
@@ -162,7 +162,7 @@ def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
 
 @pytest.mark.parametrize("n", [3, 7])  # drawn one by one, and as rows
 @pytest.mark.parametrize("backend", ["numpy", "torch"])
-def test_an_episode_that_can_never_be_followed_changes_nothing(backend, n, monkeypatch):
+def test_an_infeasible_episode_changes_nothing(backend, n, monkeypatch):
     if backend == "torch":
         pytest.importorskip("torch")
     options = {"dtype": "float64"} if backend == "torch" else {}
@@ -172,26 +172,26 @@ def test_an_episode_that_can_never_be_followed_changes_nothing(backend, n, monke
     for _ in range(69):
         env.step(actions)
 
-    def nothing(*_, **__):
-        raise ValueError("cannot be followed")
+    def infeasible(*_, **__):
+        raise ValueError("infeasible")
 
-    lanes = env.unwrapped._lanes
+    sub_envs = env.unwrapped._sub_envs
     with monkeypatch.context() as patch:
-        patch.setattr("auv_gym.envs.lanes.reference_table", nothing)
+        patch.setattr("auv_gym.envs.sub_environments.reference_table", infeasible)
         patch.setattr("auv_gym.planning.planner.Planner.tables", lambda _, __, count: [None] * count)
-        time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
+        time, states = sub_envs.time, [g.bit_generator.state for g in sub_envs._generators]
         for _ in range(2):
-            with pytest.raises(ValueError, match="cannot be followed"):
+            with pytest.raises(ValueError, match="infeasible"):
                 env.step(actions)
-        assert (lanes.time == time).all()
-        assert [g.bit_generator.state for g in lanes._generators] == states
-        with pytest.raises(ValueError, match="cannot be followed"):
+        assert (sub_envs.time == time).all()
+        assert [g.bit_generator.state for g in sub_envs._generators] == states
+        with pytest.raises(ValueError, match="infeasible"):
             env.reset(options={"reset_mask": np.arange(n) == 0})
     *_, truncated, _ = env.step(actions)
     assert truncated.all()
 
 
-def test_reset_mask_begins_only_those():
+def test_reset_mask_resets_only_these():
     env = vector(scenario="cruise-storm")
     with pytest.raises(ValueError, match="first reset"):
         env.reset(options={"reset_mask": np.array([True, False, False])})
@@ -205,7 +205,7 @@ def test_reset_mask_begins_only_those():
     assert (info["_time"] == mask).all()
 
 
-def test_reset_options_for_all_or_each():
+def test_reset_options_for_all_or_for_each():
     env = vector()
     assert env.reset(options={"initial_error": (3.0, 4.0, 0.0)})[1]["position_error"].tolist() == [5.0] * 3
     errors = np.array([[1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]])
@@ -219,8 +219,8 @@ def test_reset_options_for_all_or_each():
     ("options", "message"),
     [
         ({"wind": 1.0}, "unknown reset option 'wind'; allowed are episode, initial_error, initial_velocity"),
-        ({"initial_error": np.zeros((2, 3))}, "one entry for each of 3"),
-        ({"initial_error": 1.0}, "one entry for each of 3"),
+        ({"initial_error": np.zeros((2, 3))}, "must have 3 entries"),
+        ({"initial_error": 1.0}, "must have 3 entries"),
         ({"initial_error": np.full((3, 3), np.nan)}, "three finite numbers"),
         ({"reset_mask": np.zeros(3, dtype=bool)}, "with a True"),
         ({"reset_mask": np.ones(2, dtype=bool)}, r"boolean array \(3,\)"),
@@ -270,7 +270,7 @@ def test_step_before_reset_is_refused():
         ({"render_mode": "human"}, "does not draw"),
         ({"scenario": ["paper-circle"]}, "1 scenarios are given for 3"),
         ({"scenario": "storm"}, "unknown scenario"),
-        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, "differ in substeps"),
+        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, "different substeps"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):
@@ -278,7 +278,7 @@ def test_bad_arguments_are_refused(arguments, message):
         vector(**arguments)
 
 
-def test_missing_torch_is_explained(monkeypatch):
+def test_message_of_missing_torch(monkeypatch):
     monkeypatch.setattr(importlib.import_module("auv_gym.envs"), "find_spec", lambda _: None)
     with pytest.raises(ImportError, match="pip install"):
         vector(backend="torch")
@@ -297,7 +297,7 @@ def test_missing_torch_is_explained(monkeypatch):
     ],
 )
 def test_gymnasiums_vector_wrappers_run(env_id, wrap):
-    """Those that accept SAME_STEP: the observation wrappers refuse it."""
+    """The wrappers that accept SAME_STEP, which wrappers of observations do not."""
     env = wrap(vector(env_id, scenario=SHORT["cruise-storm"]))
     env.reset(seed=1)
     actions = np.zeros((3, 2), dtype=np.float32)
@@ -305,7 +305,7 @@ def test_gymnasiums_vector_wrappers_run(env_id, wrap):
         env.step(actions)
 
 
-def test_episode_statistics_are_the_rewards_sum():
+def test_episode_statistics_are_the_sum_of_rewards():
     env = wrappers.RecordEpisodeStatistics(vector(scenario=SHORT["slow-calm"]))
     env.reset(seed=1)
     total = np.zeros(3)
@@ -317,7 +317,7 @@ def test_episode_statistics_are_the_rewards_sum():
     assert info["episode"]["l"].tolist() == [100] * 3
 
 
-class Leaky:
+class WithMemory:
     """An expert with memory: the backstepping law plus a slow average of the position error."""
 
     def __init__(self):
@@ -331,7 +331,7 @@ class Leaky:
         return (action[0] if observation.ndim == 1 else action), (mean,)
 
 
-@pytest.mark.parametrize("expert", [Backstepping, Leaky])
+@pytest.mark.parametrize("expert", [Backstepping, WithMemory])
 def test_residual_equals_scalar_residual_environments_across_autoresets(expert):
     scenarios = [SHORT["cruise-storm"], SHORT["slow-noise"], SHORT["paper-circle"], FILTERED]
     env = vector(RESIDUAL, n=4, scenario=scenarios, expert=expert())
@@ -339,8 +339,8 @@ def test_residual_equals_scalar_residual_environments_across_autoresets(expert):
     assert assert_equals_scalars(env, scalars, 220, scale=2.0) >= 8
 
 
-def test_residual_reset_mask_leaves_the_others_memory():
-    env, twin = (vector(RESIDUAL, scenario="cruise-storm", expert=Leaky()) for _ in range(2))
+def test_residual_reset_mask_keeps_the_memory_of_the_others():
+    env, twin = (vector(RESIDUAL, scenario="cruise-storm", expert=WithMemory()) for _ in range(2))
     for e in (env, twin):
         e.reset(seed=0)
         for _ in range(5):
@@ -367,27 +367,27 @@ def test_zero_residual_is_the_expert():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_tape_does_not_depend_on_its_blocks(name):
-    """Nor on what runs beside it, nor on the order of the lanes."""
+def test_exogenous_inputs_do_not_depend_on_blocks(name):
+    """Nor on other sub-environments and their order."""
     scenario = PRESETS[name]
     rng = np.random.default_rng(0)
     episodes = [scenario.draw(rng) for _ in range(3)]
     tables = [reference_table(episode.path, *plan_of(scenario)) for episode in episodes]
-    whole, cut = Tape(3, 64), Tape(1, 64)
-    for lane in range(3):
-        whole.load(lane, scenario, episodes[lane], tables[lane])
-    cut.load(0, scenario, episodes[1], tables[1])
-    samples = np.concatenate([whole.read((2, 0, 1), 64)[:, :, 2] for _ in range(3)])
-    pieces = np.concatenate([cut.read((0,), n)[:, :, 0] for n in (1, 2, 61, 5, 40, 19, 64)])
+    all_three, one = ExogenousInputs(3, 64), ExogenousInputs(1, 64)
+    for i in range(3):
+        all_three.load(i, scenario, episodes[i], tables[i])
+    one.load(0, scenario, episodes[1], tables[1])
+    samples = np.concatenate([all_three.read((2, 0, 1), 64)[:, :, 2] for _ in range(3)])
+    pieces = np.concatenate([one.read((0,), n)[:, :, 0] for n in (1, 2, 61, 5, 40, 19, 64)])
     np.testing.assert_allclose(samples, pieces, rtol=0, atol=1e-12)
 
 
 def test_noise_is_standard_normal_times_the_sensors():
-    """Mean, spread and tails of some 10^5 numbers; four standard errors."""
+    """Mean, variance, kurtosis and correlations of about 10^5 numbers, within four standard errors."""
     scenario = PRESETS["slow-noise"]
-    lanes = Lanes(256, scenario, None, None)
-    lanes.reset(0, None)
-    white = np.concatenate([lanes._tape.read(lanes.all, 64)[:, 13:19] for _ in range(4)])
+    envs = SubEnvironments(256, scenario, None, None)
+    envs.reset(0, None)
+    white = np.concatenate([envs._exogenous.read(envs.all, 64)[:, 13:19] for _ in range(4)])
     z = (white / np.array(scenario.sensors.noise)[:, None]).transpose(1, 0, 2).reshape(6, -1)
     n = z.shape[1]
     assert np.abs(z.mean(axis=1)).max() < 4 / n**0.5
@@ -398,9 +398,9 @@ def test_noise_is_standard_normal_times_the_sensors():
 
 
 def test_user_scenarios_with_a_fixed_path_share_their_plan():
-    lanes = Lanes(3, Scenario(steps=50), None, None)
-    lanes.reset(0, None)
-    assert lanes._tape._tables[0] is lanes._tape._tables[2]
+    envs = SubEnvironments(3, Scenario(steps=50), None, None)
+    envs.reset(0, None)
+    assert envs._exogenous._tables[0] is envs._exogenous._tables[2]
 
 
 MEMORY = """
@@ -411,7 +411,7 @@ env.reset(seed=0)
 actions = np.zeros((16384, 2), dtype=np.float32)
 for _ in range(20):
     env.step(actions)
-with open("/proc/self/status") as status:  # ru_maxrss would count what started this process, too
+with open("/proc/self/status") as status:  # ru_maxrss includes the parent process
     print(next(line.split()[1] for line in status if line.startswith("VmHWM")))
 """
 

@@ -4,16 +4,21 @@ import math
 import re
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from auv_gym.physics.dynamics import rates
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 
 NAMES = [field.name for field in fields(Vehicle) if field.name != "speed"]
+DAMPED = replace(PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0)
 
 
 def test_paper_vehicle():
     assert PAPER_VEHICLE.coefficients == (215.0, 265.0, 80.0, 70.0, 100.0, 50.0, *[0.0] * 7)
-    assert PAPER_VEHICLE.coefficients._fields == tuple(NAMES)
+    assert (*PAPER_VEHICLE.coefficients._fields, *PAPER_VEHICLE.cross_flow._fields) == tuple(NAMES)
     assert (PAPER_VEHICLE.length, PAPER_VEHICLE.speed) == (math.sqrt(80 / 215), 1.5)
     assert PAPER_VEHICLE.time == PAPER_VEHICLE.length / 1.5
 
@@ -43,6 +48,34 @@ def test_drag_is_a_magnitude(name):
     assert getattr(replace(PAPER_VEHICLE, **{name: 0}), name) == 0
     with pytest.raises(ValueError, match=rf"{name} is -0.5; drag is a magnitude, 0 or more"):
         replace(PAPER_VEHICLE, **{name: -0.5})
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"Y_rv": -400.0},
+        {"Y_vr": 300.0, "N_vv": 300.0},
+        {"Y_rr": -300.0, "N_rv": -300.0},
+        {"Y_vr": 0.1, "Y_vv": 0.0},
+        {"N_rv": -0.1, "N_rr": 0.0},
+    ],
+    ids=str,
+)
+def test_quadratic_damping_that_gives_power_is_refused(terms):
+    with pytest.raises(ValueError, match="the quadratic damping of sway and yaw gives power"):
+        replace(DAMPED, **terms)
+
+
+@given(st.lists(st.floats(-150, 150), min_size=6, max_size=6))
+def test_quadratic_damping_that_is_accepted_takes_power(terms):
+    try:
+        vehicle = replace(DAMPED, **dict(zip(NAMES[-6:], terms, strict=True)))
+    except ValueError:
+        vehicle = DAMPED
+    v, r = np.random.default_rng(0).standard_normal((2, 2000))
+    still = replace(vehicle, d22=1e-9, d33=1e-9).acting
+    _, _, _, v_dot, r_dot = rates(0.0, 0.0, v, r, (0.0, 0.0, 0.0), still, ns=np)
+    assert (vehicle.m22 * v * v_dot + vehicle.m33 * r * r_dot <= 1e-6).all()
 
 
 @pytest.mark.parametrize("m22", [215, 214.9])

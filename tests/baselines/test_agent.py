@@ -107,7 +107,7 @@ NETWORKS |= st.builds(Lstm, st.integers(1, 30), st.integers(1, 9), LAYERS, *CHOI
 
 
 @given(NETWORKS, st.integers(0, 9), st.floats(0.0, 30.0))
-def test_networks_are_bounded_alike_in_batches_and_described_in_json(network, seed, scale):
+def test_networks_are_bounded_in_batches_and_have_a_json_record(network, seed, scale):
     w, rng = weights_of(network, seed, scale), np.random.default_rng(seed)
     x, hidden = rng.standard_normal((4, network.inputs)), rng.uniform(-1, 1, (4, network.memory))
     action, after = (y.T for y in network.forward(network.prepared(w), x.T, hidden.T))
@@ -148,7 +148,7 @@ def test_round_trip(network, tmp_path):
     st.none() | st.tuples(*[st.floats(0, exclude_min=True, allow_infinity=False)] * ERROR_FEATURES),
     st.lists(st.text(st.characters(exclude_categories=["Cs"]))).map(tuple),
 )
-def test_saved_agents_come_back(tmp_path_factory, network, expert, authority, region, scenarios):
+def test_saved_agents_equal_the_loaded_ones(tmp_path_factory, network, expert, authority, region, scenarios):
     mine = Agent(network, weights_of(network), expert, authority, scenarios, {"seed": 3}, region)
     folder = tmp_path_factory.getbasetemp() / "kept"
     mine.save(folder)
@@ -157,9 +157,9 @@ def test_saved_agents_come_back(tmp_path_factory, network, expert, authority, re
     assert all((theirs.weights[name] == weights).all() for name, weights in mine.weights.items())
 
 
-def test_does_not_replace_what_is_no_agent(tmp_path):
+def test_saving_does_not_replace_another_folder(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="no agent's folder"):
+    with pytest.raises(ValueError, match="is not an agent's folder"):
         agent().save(tmp_path)
     assert (tmp_path / "thesis.tex").exists()
 
@@ -203,10 +203,13 @@ def rehashed(folder):
 
 REFUSALS = {
     "damaged weights": (damaged, "SHA-256 differs"),
-    "truncated weights": (truncated, "no safetensors file"),
+    "truncated weights": (truncated, "not a safetensors file"),
     "no weights": (lambda folder: (folder / "weights.safetensors").write_bytes(b""), "SHA-256 differs"),
     "shape": (reweighted(**{"head.weight": np.zeros((2, 9), np.float32)}), "weight head.weight has shape"),
-    "missing": (lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)), "differ from"),
+    "missing": (
+        lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)),
+        "missing or unknown weights",
+    ),
     "not finite": (reweighted(**{"head.bias": np.array([0, np.nan], np.float32)}), "not finite"),
     "integers": (reweighted(**{"head.bias": np.zeros(2, np.int32)}), "not finite numbers"),
     "format": (edited(format=1), "its format is 1"),
@@ -220,7 +223,7 @@ REFUSALS = {
     "authority's type": (edited(authority="all"), "list of two numbers"),
     "expert's type": (edited(expert=3), "must be a policy's name"),
     "expert runs code": (edited(expert="evil.py:run"), "must be a policy's name"),
-    "expert that looks behind": (edited(expert="oracle"), "looks behind the observation"),
+    "expert with full information": (edited(expert="oracle"), "needs full information"),
     "unknown expert": (edited(expert="magic"), "unknown policy 'magic'"),
     "scenarios": (edited(scenarios=[1]), "list of names"),
     "entries": (edited(more=1), "must have the entries"),
@@ -231,7 +234,7 @@ REFUSALS = {
 
 @settings(deadline=None, max_examples=300)
 @given(st.data())
-def test_no_value_in_a_description_raises_anything_but_a_refusal(tmp_path_factory, data):
+def test_every_wrong_description_raises_value_error(tmp_path_factory, data):
     """One entry of agent.json, or of the tables in it, is any JSON."""
     folder = tmp_path_factory.getbasetemp() / "fuzzed"
     if not folder.exists():
@@ -284,7 +287,7 @@ def test_zero_head_reproduces_the_expert(expert):
 @pytest.mark.parametrize("inputs", [Inputs(), Inputs((2, 9), integrals=False)], ids=["plain", "preview"])
 @pytest.mark.parametrize("expert", ["backstepping", "current-observer"])
 @pytest.mark.parametrize("n", [1, 5, 300])
-def test_decides_as_its_equations_say(n, expert, inputs):
+def test_actions_equal_those_of_the_separate_equations(n, expert, inputs):
     """Expert, features, network and command one after the other; one vehicle, several, and more than one block."""
     network = Gru(len(inputs.features), encoder=12, hidden=10, decoder=8)
     policy, law = agent(network, expert, inputs=inputs).policy(), make_policy(expert)
@@ -305,7 +308,7 @@ def test_decides_as_its_equations_say(n, expert, inputs):
         observation, *_ = env.step(np.reshape(action, (n, 2)))
 
 
-def test_decides_alike_in_single_precision_and_as_a_copy():
+def test_actions_of_single_precision_and_of_a_pickled_copy():
     env = UnderactuatedAUVTrackVectorEnv(3, "cruise-storm")
     observation, _ = env.reset(seed=0)
     exact, single = (agent().policy(precision=precision) for precision in ("float64", "float32"))
@@ -337,7 +340,7 @@ def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
 REGION = (1.0, 1.0, 0.8, 2.0, 2.0, 1.5)
 
 
-def test_corrections_fade_outside_of_the_region_and_nowhere_else(tmp_path):
+def test_corrections_fade_only_outside_of_the_region(tmp_path):
     """An observation is scaled up: the correction is whole inside the region, and gone at twice its size."""
     whole, fading = agent(region=REGION).policy(), agent(region=REGION).policy(fade=True)
     expert = make_policy("backstepping")
@@ -359,19 +362,19 @@ def test_corrections_fade_outside_of_the_region_and_nowhere_else(tmp_path):
 
 
 @pytest.mark.parametrize("region", [(1.0,) * 5, (1.0, 1.0, 1.0, 0.0, 1.0, 1.0), (1.0, 1.0, np.inf, 1.0, 1.0, 1.0)])
-def test_impossible_regions_are_refused(region):
+def test_impossible_regions_are_rejected(region):
     with pytest.raises(ValueError, match=r"region is .*; it must be 6 positive numbers"):
         agent(region=region)
 
 
-def test_without_an_expert_there_is_nothing_to_fade_to():
-    with pytest.raises(ValueError, match="nothing that it could fade to"):
+def test_fading_requires_an_expert():
+    with pytest.raises(ValueError, match="the agent has no expert"):
         agent(expert="none", region=REGION).policy(fade=True)
 
 
-def test_without_a_region_nothing_can_fade(tmp_path):
+def test_fading_requires_a_region(tmp_path):
     agent().save(tmp_path / "a")
-    with pytest.raises(ValueError, match="does not know the region"):
+    with pytest.raises(ValueError, match="has no region of its training"):
         make_policy(f"{tmp_path}/a:fade")
     with pytest.raises(ValueError, match="takes no option 'gains', only fade"):
         make_policy(str(tmp_path / "a"), gains="paper")
@@ -389,7 +392,7 @@ def test_inputs_go_with_the_agent_and_evaluate_runs_its_folder(tmp_path, monkeyp
         agent(network)
     monkeypatch.chdir(tmp_path)
     episodes = ["--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"]
-    with pytest.raises(UsageError, match="does not know the region"):
+    with pytest.raises(UsageError, match="has no region of its training"):
         evaluate.main(["--policy", "./mine:fade", *episodes])
     assert evaluate.main(["--policy", "./mine", *episodes]) == 0
     found = json.loads((tmp_path / "out/results.json").read_text())["results"]

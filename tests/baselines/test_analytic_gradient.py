@@ -24,7 +24,7 @@ from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import LINEAR_FROM, SQUARE_WEIGHT, ClosedLoop, Loss, law_of
-from baselines.training.apg.groups import Groups, Learned
+from baselines.training.apg.groups import Groups, WindowGradient
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
@@ -100,7 +100,7 @@ def test_gradient_equals_that_of_torch(expert, memory, inputs):
         assert float((found - gradient_of(net)).norm()) <= near * float(gradient_of(net).norm())
 
 
-def test_begins_as_its_expert():
+def test_initial_action_is_that_of_the_expert():
     for sizes in (SIZES, Mlp(4, (8, 8))):
         last = [*torch_network(sizes).named_parameters()]
         assert [bool(p.any()) for name, p in last if name.startswith(("head", "layers.2"))] == [False, False]
@@ -147,7 +147,7 @@ def test_gradient_equals_finite_differences():
         assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
 
 
-def test_errors_may_count_by_their_ratios():
+def test_gradient_with_evenness():
     """The gradient is that of the mean loss with other shares, which by ratios are one over the errors."""
     names, net = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1)
 
@@ -165,7 +165,7 @@ def test_errors_may_count_by_their_ratios():
 
 
 @given(st.lists(st.floats(0, 1e30) | st.just(math.nan) | st.just(math.inf), min_size=1, max_size=6), st.floats(0, 1))
-def test_even_shares_add_up_and_fall_with_the_error(errors, evenness):
+def test_even_shares_keep_their_sum_and_decrease_with_the_error(errors, evenness):
     errors = np.array(errors)
     shares = evened(np.full(len(errors), 1 / len(errors)), errors, evenness)
     assert shares.sum() == pytest.approx(1)
@@ -173,7 +173,7 @@ def test_even_shares_add_up_and_fall_with_the_error(errors, evenness):
     assert (np.diff(shares[order]) <= 1e-12).all()
 
 
-def test_loss_has_no_kink_and_a_slope_everywhere():
+def test_loss_has_a_continuous_positive_slope():
     e = torch.tensor([0.0, 1e-3, LINEAR_FROM - 1e-6, LINEAR_FROM + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
     still, one = torch.zeros(2, 5, dtype=torch.float64), torch.ones(5, dtype=torch.float64)
     values = Loss().of(e * e, one, still, still, one, TENSORS)
@@ -187,7 +187,7 @@ def test_loss_has_no_kink_and_a_slope_everywhere():
     assert moved == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
 
 
-def test_derivatives_of_a_vehicle_in_chaos_are_shortened():
+def test_derivatives_of_diverging_vehicles_are_bounded():
     """A cut that nothing reaches changes nothing; a low one shortens the gradient; what is no number counts nothing."""
     names, found = ["cruise-storm", "cruise-actuator", "cruise-noise"], {}
     for cut in (0.0, 1e9, 0.01):
@@ -202,7 +202,7 @@ def test_derivatives_of_a_vehicle_in_chaos_are_shortened():
     assert (setting.window._d["d_state"][:, 1] == 0).all()
 
 
-def test_each_speed_range_has_its_price_and_its_share():
+def test_each_speed_range_has_its_weights():
     settings = Settings(effort_weight=0.2, cruise_effort_weight=0.1, rate_weight=0.3, cruise_share=0.25)
     objective = settings.objective(["slow-calm", "slow-storm", "cruise-calm"])
     assert np.array(objective.loss.effort).tolist() == [0.2, 0.2, 0.1]
@@ -223,17 +223,17 @@ def test_a_batch_begins_episodes_between_windows():
         assert [len(rows) for rows in vehicles.window()] == [6, 6]
         marked = carried._replace(hidden=np.ones((3, 4)), integrals=np.ones((4, 4)))
         carried = vehicles.renew(marked, np.zeros(4))
-        held_out = carried.hidden[0] == 0
-        assert held_out.tolist() == vehicles.held_out.tolist()
-        assert (carried.integrals[0] == 0).tolist() == held_out.tolist()
-        assert (carried.state[:, held_out] != marked.state[:, held_out]).any(axis=0).all()
-        assert (carried.state[:, ~held_out] == marked.state[:, ~held_out]).all()
-        begun.append(held_out.nonzero()[0].tolist())
+        begins = carried.hidden[0] == 0
+        assert begins.tolist() == vehicles.begins.tolist()
+        assert (carried.integrals[0] == 0).tolist() == begins.tolist()
+        assert (carried.state[:, begins] != marked.state[:, begins]).any(axis=0).all()
+        assert (carried.state[:, ~begins] == marked.state[:, ~begins]).all()
+        begun.append(begins.nonzero()[0].tolist())
     # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
 
 
-def test_a_batch_begins_anew_where_a_vehicle_is_lost():
+def test_a_failed_vehicle_begins_a_new_episode():
     vehicles = TrainingVehicles([PRESETS["slow-calm"]] * 4, 0, 6)
     carried = vehicles.reset(3)
     vehicles.window()
@@ -289,6 +289,7 @@ def rows(run):
     return [{k: v for k, v in row.items() if k != "seconds"} for row in run._rows]
 
 
+@pytest.mark.slow
 def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]
@@ -306,7 +307,7 @@ def test_best_agent_is_returned(trained):
 
 
 @pytest.mark.parametrize("sizes", [SIZES, Mlp(4, (8, 8))])
-def test_matrices_change_alike_in_every_direction(sizes):
+def test_updates_of_matrices_are_orthogonal(sizes):
     """Under a gradient that is a thousand times steeper in one direction than in another; all other weights by Adam."""
     net = torch_network(sizes)
     before = {name: p.detach().clone() for name, p in net.named_parameters()}
@@ -327,7 +328,7 @@ def test_matrices_change_alike_in_every_direction(sizes):
             np.testing.assert_allclose(change.abs(), 1e-3, rtol=1e-3)  # Adam's first step
 
 
-def test_without_a_rate_of_their_own_matrices_follow_adam():
+def test_adam_updates_matrices_without_a_rate_for_muon():
     net = torch_network(SIZES)
     [optimizer] = Settings(matrix_learning_rate=0.0).optimizers(net)
     assert isinstance(optimizer, torch.optim.Adam)
@@ -349,7 +350,7 @@ def test_without_a_rate_of_their_own_matrices_follow_adam():
         ({"preview": [0]}, "preview is"),
         ({"memory": 1}, "memory is 1"),
         ({"groups": 0}, "groups is 0"),
-        ({"n_envs": 8, "groups": 5}, "groups is 5; n_envs is 8, which is enough for 4"),
+        ({"n_envs": 8, "groups": 5}, "groups is 5; with n_envs 8 it must be at most 4"),
     ],
 )
 def test_refuses_settings(settings, says):
@@ -357,7 +358,7 @@ def test_refuses_settings(settings, says):
         check(configuration(hyperparameters=settings))
 
 
-def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
+def test_expert_and_network_have_separate_previews(tmp_path):
     """Expert and network ask for different times; in training as in use each gets its own."""
     settings = configuration().hyperparameters | {"preview": (3, 20)}
     trainer = trainer_of(RunFolder(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
@@ -365,7 +366,7 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
     for preview in (policy.preview, nmpc.preview):
-        env = UnderactuatedAUVTrackVectorEnv(8, trainer.run.config.lanes(8), preview=preview)
+        env = UnderactuatedAUVTrackVectorEnv(8, trainer.run.config.env_scenarios(8), preview=preview)
         observation, _ = env.reset(seed=trainer.run.config.episode_seed)
         actions.append((policy if preview == policy.preview else nmpc).predict(observation)[0])
     np.testing.assert_array_equal(*actions)
@@ -380,7 +381,7 @@ def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     trainer = trainer_of(run)
 
     def diverged(self, weights):
-        return Learned(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
+        return WindowGradient(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
 
     monkeypatch.setattr(Groups, "learn", diverged)
     before = weights_of(trainer.network)

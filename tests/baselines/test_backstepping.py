@@ -1,4 +1,4 @@
-"""The tracking law against the paper's equations typed anew, and its closed loop against known eigenvalues."""
+"""The tracking law against an independent form of the paper's equations, and properties of its closed loop."""
 
 import math
 from dataclasses import astuple
@@ -37,7 +37,7 @@ LITERALS = {
     "normalised-paper": (0.5, 0.7, 0.5, 0.7, 0.6, 0.6, 0.1, math.inf, 0.1),
     "normalised": (0.4, 0.7, 0.23, 0.0, 2.0, 0.0, 0.155, math.inf, 0.1),
 }
-"""k, k1, cu, ku, c, kc, cr, largest speed, reference speed: what every recorded row and agent was made with."""
+"""k, k1, cu, ku, c, kc, cr, largest speed, reference speed: the gains of all recorded rows and agents."""
 
 
 def test_gains_are_those_of_the_paper_and_of_the_records():
@@ -45,7 +45,7 @@ def test_gains_are_those_of_the_paper_and_of_the_records():
 
 
 def test_law_is_the_papers():
-    """In world-frame errors as (21), (22), (26), (34), (40), (47) are printed, typed independently with sympy."""
+    """(21), (22), (26), (34), (40), (47) in world-frame errors as printed, in SymPy."""
     x_e, y_e, psi, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR = sp.symbols(
         "x_e y_e psi psi_e u_e v_e r_e u_R v_R r_R F_uR F_rR"
     )
@@ -88,8 +88,8 @@ def test_on_the_reference_the_law_is_the_plan():
 
 
 @given(small, small, small, st.floats(0.3, 2))
-def test_normalised_form_is_the_same_in_scaled_errors_at_every_speed(e_x, e_y, psi_e, speed):
-    """Auxiliary accelerations scale with speed in surge and not at all in yaw; at 0.1 m/s it is the printed law."""
+def test_normalised_form_scales_with_the_speed(e_x, e_y, psi_e, speed):
+    """The acceleration in surge is proportional to the speed, that in yaw is constant; at 0.1 m/s it is the law."""
     gains = GAINS["normalised-paper"]
     ratio = speed / 0.1
 
@@ -131,7 +131,7 @@ def test_too_fast_a_reference_warns_once():
     policy = Backstepping("paper")
     slow, fast = (encode_observation(observation(speed=s)) for s in (0.3, 1.0))
     policy.predict(slow)
-    with pytest.warns(StabilityWarning, match=r"stable up to 0.49 m/s, the reference runs at"):
+    with pytest.warns(StabilityWarning, match=r"stable up to 0.49 m/s, but the reference speed is"):
         policy.predict(fast)
     policy.predict(np.stack([fast, fast]))
     Backstepping("normalised").predict(fast)
@@ -150,7 +150,7 @@ def test_lyapunov_terms_by_hand():
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
 def test_bounded_error_bounds_the_force(e_x, e_y):
-    bound = 10.0 * 0.1  # what a vehicle at 0.1 m/s travels in 10 s
+    bound = 10.0 * 0.1  # distance that a vehicle at 0.1 m/s travels in 10 s
     free = Backstepping("paper", horizon=10.0).forces(observation(e_x, e_y))
     kap = PAPER.k + PAPER.k1
     largest = V.m11 * (PAPER.cu + PAPER.ku * kap**2) * kap * bound + 8.0

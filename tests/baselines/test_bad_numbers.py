@@ -1,4 +1,4 @@
-"""One bad number is one bad decision: whatever measurement is no number, the command stays and so does the memory."""
+"""Observations with invalid numbers: the last command is repeated once, and the memory stays unchanged."""
 
 import math
 
@@ -26,8 +26,8 @@ def environment(policy):
     return UnderactuatedAUVTrackVectorEnv(N, "cruise-storm", preview=preview_of(policy))
 
 
-def begun(name, steps=4):
-    """Return a policy, what it remembers after some control periods, and the next two observations of each vehicle."""
+def started(name, steps=4):
+    """Return a policy, its memory after some control periods, and the next two observations of each vehicle."""
     policy = make_policy(name)
     env = environment(policy)
     observation, memory = env.reset(seed=3)[0], None
@@ -39,21 +39,21 @@ def begun(name, steps=4):
 
 
 def assert_same(one, other):
-    """Assert that two memories are the same to the bit."""
+    """Assert that two memories are equal to the last bit."""
     assert (one is None) == (other is None)
     for a, b in zip(one or (), other or (), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def of_lane(memory, i):
+def of_vehicle(memory, i):
     return memory and tuple(array[i : i + 1].copy() for array in memory)
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
 def test_one_vehicle_repeats_its_command(name):
-    """For every entry of the observation, and every value that is none."""
-    policy, memory, observation, following = begun(name)
-    own, good, after = of_lane(memory, 1), observation[1], following[1]
+    """For every entry of the observation, and every invalid value."""
+    policy, memory, observation, following = started(name)
+    own, good, after = of_vehicle(memory, 1), observation[1], following[1]
     expected, kept = policy.predict(after, own)
     for column in range(len(good)):
         for value in BAD:
@@ -74,8 +74,8 @@ def test_one_vehicle_repeats_its_command(name):
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
-def test_the_others_of_a_batch_go_on(name):
-    policy, memory, observation, following = begun(name)
+def test_the_others_of_a_batch_are_not_affected(name):
+    policy, memory, observation, following = started(name)
     expected, after = policy.predict(observation, memory)
     for value, column in ((math.nan, 0), (math.inf, 4), (1e30, 12), (math.nan, len(observation[0]) - 1)):
         bad = observation.copy()
@@ -84,13 +84,13 @@ def test_the_others_of_a_batch_go_on(name):
         np.testing.assert_array_equal(action[[0, 2]], expected[[0, 2]])
         np.testing.assert_array_equal(action[1], observation[1, LAST].astype(np.float32))
         for i in range(N):
-            assert_same(of_lane(held, i), of_lane(memory if i == 1 else after, i))
+            assert_same(of_vehicle(held, i), of_vehicle(memory if i == 1 else after, i))
     assert np.isfinite(policy.predict(following, held)[0]).all()
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
-def test_an_episode_that_begins_with_one_begins_with_the_next(name):
-    """Alone, in a batch, and where the episode of one vehicle of a batch begins in the middle."""
+def test_an_episode_with_an_invalid_first_observation_begins_with_the_second(name):
+    """For one vehicle, for a batch, and for an episode of one vehicle that begins later than those of the others."""
     policy = make_policy(name)
     env = environment(policy)
     first = env.reset(seed=3)[0]
@@ -113,16 +113,16 @@ def test_an_episode_that_begins_with_one_begins_with_the_next(name):
         action, waiting = policy.predict(bad, waiting) if state else (action, waiting)
         found, remembered = policy.predict(second, waiting)
         np.testing.assert_array_equal(found[1], expected[1])
-        assert_same(of_lane(remembered, 1), of_lane(after, 1))
+        assert_same(of_vehicle(remembered, 1), of_vehicle(after, 1))
         if state is None:
             np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
 @pytest.mark.parametrize("value", [1e6, 3e3])
-def test_a_position_far_away_is_forgotten(name, value):
-    """It is a number, so it is acted on; what is remembered of it stays finite, and so do the commands."""
-    policy, memory, observation, _ = begun(name)
+def test_memory_and_actions_stay_finite_after_one_distant_position(name, value):
+    """The position is a valid number, so policies use it."""
+    policy, memory, observation, _ = started(name)
     env = environment(policy)
     observation = env.reset(seed=5)[0]
     memory = None
@@ -136,8 +136,8 @@ def test_a_position_far_away_is_forgotten(name, value):
         observation = env.step(action)[0]
 
 
-def test_filters_remember_nothing_beyond_their_bounds():
-    """Whatever is observed, as long as it is an observation: alone they grow beyond any number within ten steps."""
+def test_the_memory_of_filters_is_bounded():
+    """For random observations; without the bounds the estimates overflow within ten steps."""
     rng, n = np.random.default_rng(0), 200
     memory, seen = np.zeros((filters.ROWS, n)), None
     most = np.array(list(filters.LARGEST_ESTIMATE.values()))[:, None]
@@ -146,18 +146,18 @@ def test_filters_remember_nothing_beyond_their_bounds():
         rows[11:13] /= np.hypot(*rows[11:13])
         rows[[13, 14, 17]] = np.abs(rows[[13, 14, 17]]) + 0.1
         o = Observation._make(rows * SCALES[:, None])
-        seen = seen if k % 3 else o  # else nothing new is observed
+        seen = seen if k % 3 else o  # two of three observations are repeated
         with np.errstate(all="ignore"):
-            believed, memory = filters.filtered(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
+            result, memory = filters.filter_step(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
         memory = np.array(memory)
-        for i, estimate in enumerate(believed.estimates):
+        for i, estimate in enumerate(result.estimates):
             rows = memory[filters.SHARED + i * len(most) : filters.SHARED + (i + 1) * len(most)]
             assert (np.abs(rows) <= most).all()
             assert np.isfinite(np.array(estimate)).all()
 
 
-class Spoilt(Remembering):
-    """A controller whose memory can be spoilt, and which acts without looking at it, or not."""
+class Counter(Remembering):
+    """A controller that counts its calls; its command depends on the count by a given law."""
 
     def __init__(self, law):
         super().__init__(self)
@@ -173,32 +173,32 @@ class Spoilt(Remembering):
 
 
 @pytest.mark.parametrize("law", [lambda x: x, lambda x: 0.0 * np.where(x < 1e9, x, 0.0)])
-def test_a_memory_that_gives_no_number_begins_again(law):
-    """Whether the command shows it or not; the other vehicles keep theirs."""
-    policy = Spoilt(law)
+def test_a_memory_that_is_not_finite_is_reset(law):
+    """Whether the command is finite or not; the memory of other vehicles is unchanged."""
+    policy = Counter(law)
     rows = np.tile(encode_observation(Observation(*np.ones(SIZE))._replace(F_u_max=100.0, F_r_max=100.0)), (3, 1))
     memory = (np.array([[1.0, 1.0], [math.nan, 1.0], [3.0, math.inf]]),)
     action, after = policy.predict(rows, memory, np.zeros(3, dtype=bool))
-    held_out, _ = policy.predict(rows, None, np.ones(3, dtype=bool))
+    first, _ = policy.predict(rows, None, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(after[0], [[2.0, 2.0], [1.0, 1.0], [1.0, 1.0]])
-    np.testing.assert_array_equal(action[1:], held_out[1:])
+    np.testing.assert_array_equal(action[1:], first[1:])
     assert action[0, 0] == pytest.approx(0.01 * (10.0 + law(np.ones(1))[0]))
     assert policy.repeated == 0
 
 
 class Fails(Batched):
-    """A policy without memory that gives no number."""
+    """A policy without memory that returns NaN."""
 
     def actions(self, rows, state, episode_start, deterministic):
         return np.full((len(rows), 2), math.nan, dtype=np.float32), state
 
 
-def test_a_policy_without_numbers_is_not_excused():
-    """What a model or a program gives for a good measurement is its own fault, which evaluate.py names."""
+def test_invalid_actions_of_a_model_are_returned():
+    """For a valid observation they are an error of the model, which evaluate.py reports."""
     assert np.isnan(Fails().predict(np.ones(SIZE))[0]).all()
 
 
-def test_what_is_usable():
+def test_usable_observations():
     rows = np.tile(encode_observation(Observation(*np.full(SIZE, 0.5))), (6, 1))
     assert measured(rows)
     assert usable(rows).all()
@@ -212,9 +212,9 @@ def test_what_is_usable():
 
 
 @pytest.mark.parametrize("name", ["backstepping", "helm", "ekf", "apg-cruise:guard=ekf"])
-def test_large_numbers_that_can_be_measured_are_acted_on(name):
-    """Their squares add up to more than that of the largest one: whether each is usable is looked at one by one."""
-    policy, memory, observation, _ = begun(name)
+def test_large_valid_numbers_are_used(name):
+    """The sum of their squares exceeds the fast check, so each number is checked."""
+    policy, memory, observation, _ = started(name)
     observation[1, :2] = 0.9 * LARGEST
     assert not measured(observation)
     action, _ = policy.predict(observation, memory)
@@ -222,7 +222,7 @@ def test_large_numbers_that_can_be_measured_are_acted_on(name):
     assert (action[1] != last_commands(observation)[1]).any()
 
 
-def test_every_vehicle_is_observed_within_what_is_usable():
+def test_bounds_of_all_observations_are_usable():
     for preset in PRESETS.values():
         assert (bounds(preset.span) < LARGEST).all()
     assert (bounds(2**31) < LARGEST).all(), "the widest one that can be encoded"

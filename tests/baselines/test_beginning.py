@@ -99,7 +99,7 @@ def same(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
-def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call):
+def test_training_from_an_agent_for_a_vehicle(call):
     config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
     begun = ApgTrainer(RunFolder(config, Path("new")), Groups(config, check(config)))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
@@ -115,7 +115,7 @@ def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call
     assert agent.training["config"]["steers"]["m11"] == config.steers.m11
 
 
-def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metres(call):
+def test_validation_in_vehicle_units_equals_evaluation_in_metres(call):
     """The similarity from end to end: an evaluation in SI units knows nothing of how an agent was trained."""
     folder, config = FOUND, read_config(FOUND)
     here = config.scenarios[0][0]
@@ -130,7 +130,7 @@ def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metre
     assert steady_rmses[1].min() > 1e-3
 
 
-def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys):
+def test_an_interrupted_training_gives_the_same_agent(call, monkeypatch, capsys):
     keep = RunFolder.save_checkpoint
 
     def interrupted(self, state):
@@ -152,34 +152,34 @@ def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys)
     assert "a run with other origin" in capsys.readouterr().err
 
 
-def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
+def test_an_agent_for_a_vehicle_can_be_trained_further(call, capsys):
     again = ("--from", FOUND, "--timesteps", 40, "--out", "again")
     assert call(*again) == 0
     assert read_config(Path("again")).scenarios == read_config(FOUND).scenarios
     assert read_config(Path("again")).steers == vehicle_model("otter").vehicle
     capsys.readouterr()
     assert call(*again, "--vehicle", "lauv") == 2
-    assert "has a vehicle of its own, so it cannot be made to fit another one" in capsys.readouterr().err
+    assert "has its own vehicle, so it cannot be adapted to another one" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--from", "nobody"), "there is no agent 'nobody' to begin with; allowed are the folder of one, or apg-"),
-        (("--from", "ppo-cruise"), "agent 'ppo-cruise' was trained by ppo; a training can begin with one of apg"),
-        (("--algo", "ppo"), "--from goes on by the analytic gradient, not by ppo; leave out --algo"),
+        (("--from", "unknown"), "unknown agent 'unknown'; allowed are the folder of an agent, or apg-"),
+        (("--from", "ppo-cruise"), "'ppo-cruise' was trained by ppo; a training can start only from an agent of apg"),
+        (("--algo", "ppo"), "--from requires the algorithm apg, not ppo; leave out --algo"),
         (("--expert", "lqi"), "corrects backstepping; leave out --expert lqi"),
         (("--authority", "0.1"), "has the authority (0.5, 0.5); leave out --authority"),
         (("--set", "hidden_size=64"), "was trained with hidden_size 8; leave out hidden_size=64"),
-        (("--set", "fine=true"), "has another network, or other inputs, than is asked for"),
+        (("--set", "fine=true"), "has another network, or other inputs, than the settings"),
         (("--vehicle", "submarine"), "unknown vehicle 'submarine'; allowed are a Vehicle, a dict, a .toml file"),
         (("--vehicle", "none.toml"), "cannot read none.toml"),
-        (("--vehicle", "lauv", "--scenario", "slow-calm"), "whose fins steer it from 0.25 m/s on"),
-        (("--scenario", "paper-circle"), "has one path of its own, which cannot be seen in the units of its vehicle"),
+        (("--vehicle", "lauv", "--scenario", "slow-calm"), "fins of this vehicle need at least 0.25 m/s"),
+        (("--scenario", "paper-circle"), "has a fixed path, which cannot be converted to the units of its vehicle"),
         (("--hyperparameters", "other.yml"), "other.yml has no table of hyper-parameters under fine-tuning"),
     ],
 )
-def test_contradictions_are_one_line_and_leave_nothing_behind(arguments, message, call, capsys):
+def test_wrong_options_give_one_line_and_create_no_files(arguments, message, call, capsys):
     Path("other.yml").write_text(yaml.safe_dump({TRAINED_ENV: TINY}), encoding="utf-8")
     before = set(Path().rglob("*"))
     assert call(*BEGUN, "--out", "out", *arguments) == 2
@@ -189,13 +189,13 @@ def test_contradictions_are_one_line_and_leave_nothing_behind(arguments, message
     assert set(Path().rglob("*")) == before
 
 
-def test_a_vehicle_without_an_agent_to_begin_with_is_trained_for_alone(call):
+def test_training_for_a_vehicle_without_an_agent(call):
     assert call("--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40) == 0
     config = read_config(Path("runs/train/apg-small-otter"))
     assert (config.origin, config.steers) == (None, vehicle_model("otter").vehicle)
 
 
-def test_scenarios_that_fins_are_too_slow_for_are_left_out():
+def test_scenarios_too_slow_for_the_fins_are_left_out():
     mixture, reasons = fitted(MIXTURES["helm"], vehicle_model("lauv"))
     assert len(mixture) + len(reasons) == len(MIXTURES["helm"])
     assert {scenario.name.partition("-")[0] for scenario, _ in mixture} == {"cruise"}
@@ -205,7 +205,7 @@ def test_scenarios_that_fins_are_too_slow_for_are_left_out():
     assert [weight for _, weight in own] == [weight for _, weight in mixture]
 
 
-def test_the_papers_vehicle_is_trained_for_as_ever():
+def test_scenarios_of_the_papers_vehicle_do_not_change():
     mixture = MIXTURES["cruise"]
     assert in_own_units(mixture) == (mixture, None)
     twice = ((Scenario("a"), 1.0), (Scenario("b", vehicle=replace(PAPER_VEHICLE, m22=300.0)), 1.0))
@@ -221,7 +221,7 @@ def test_rates_rise_and_fall():
         Settings(warm_up=2)
 
 
-def test_the_shipped_table_leaves_an_agent_what_it_is():
+def test_fine_tuning_changes_only_rates_and_length():
     """Of the residual environment's table, only how fast and how long is other."""
     values = load_hyperparameters(shipped("apg"), FINE_TUNING_FILE_NAME)
     assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
@@ -250,7 +250,7 @@ def test_documented_commands_run(page, call, monkeypatch):
         assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
 
 
-def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
+def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
     """A quick form of the command, whose agents have learned nothing."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fine_tuning, "CASES", ("calm", "noise"))
@@ -276,7 +276,7 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == ""  # all is there
 
 
-def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch):
+def test_rows_of_an_agent_with_other_weights_are_ignored(tmp_path, monkeypatch):
     rows = {name: {"steady_rmses": [[1.0]], "failed": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
     record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
@@ -300,7 +300,7 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch)
     assert fine_tuning.still_valid(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
-def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
+def test_the_page_shows_the_shipped_agent():
     """And it is tuned, and others are trained alone, as the hyper-parameters say."""
     kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
     for vehicle, found in kept["vehicles"].items():
@@ -313,7 +313,7 @@ def _named(words):
     return dict(word.split("=") for word in words)
 
 
-def test_the_two_trainings_differ_in_where_they_begin():
+def test_the_two_trainings_differ_in_the_initial_agent():
     own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED_TRAININGS["helm"].set)
     assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
     assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")

@@ -1,4 +1,4 @@
-"""The classical controllers: exact on the plan, no steady error in a current, honest memory, refused gain files."""
+"""Classical controllers: no error on the plan, no steady-state error in a current, bounded memory, checks of files."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]
 
 
 def final_errors(policy, speed, current, steps, turn_rate=0.0, largest=np.inf):
-    """Return the position errors [m] over the last tenth of a run on a steady path; none of it is beyond `largest`."""
+    """Return the position errors [m] in the last tenth of a run on a steady path; all are below `largest`."""
     path = Circle(speed=speed, turn_rate=turn_rate) if turn_rate else Line(speed=speed)
     calm = replace(PRESETS["cruise-calm"], path=path, start=Start(), steps=steps + 1)
     scenario = replace(calm, current=RandomCurrent(speed=(current, current), direction=(1.2, 1.2)) if current else None)
@@ -47,18 +47,18 @@ def final_errors(policy, speed, current, steps, turn_rate=0.0, largest=np.inf):
 
 @pytest.mark.parametrize("speed", [0.2, 1.0])
 @pytest.mark.parametrize("name", [*NAMES, "nmpc"])
-def test_on_the_reference_in_calm_water_it_stays(name, speed):
-    """With the gains that the search began at; those of nmpc are the tuned ones."""
+def test_the_vehicle_stays_on_the_reference_in_calm_water(name, speed):
+    """With the initial gains of the search; nmpc with its tuned gains."""
     part = "gains" if name == "nmpc" else "start"
     gains = load_gains(name, "cruise" if speed > CRUISE_SPEED else "slow", gain_names(name), part)
-    largest = 0.03 * speed if name == "nmpc" else np.inf  # its filter has to find out that nothing is in the way
+    largest = 0.03 * speed if name == "nmpc" else np.inf  # its filter must converge first
     errors = final_errors(baselines.make_policy(name, gains=gains), speed, 0.0, 200, 0.05, largest)
     assert errors.max() < 2e-3 * speed
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_constant_current_leaves_no_steady_error_on_a_line_and_little_on_a_circle(name):
-    """With gains whose integral forgets the start within the run, the tuned ones have their own time."""
+def test_a_constant_current_gives_no_steady_error_on_a_line_and_little_on_a_circle(name):
+    """With gains whose integral converges within the run."""
     gains = {**load_gains(name, "slow", gain_names(name), "start"), **INTEGRATING[name]}
     policy, law = baselines.make_policy(name, gains=gains), baselines.make_policy("backstepping")
     offset = final_errors(law, 0.2, 0.3, 600).min()
@@ -82,7 +82,7 @@ def observations(n, speed_range="cruise"):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_memory_stays_bounded_however_far_the_vehicle_is(name):
+def test_memory_is_bounded_at_any_distance(name):
     policy = baselines.make_policy(name)
     rows = observations(4).copy()
     rows[:, :2] = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]]) * BOUNDS[:2]
@@ -129,7 +129,7 @@ def test_error_dynamics_are_the_linearised_equations(u_R, r_R):
 
 
 def test_gain_is_that_of_the_riccati_recursion():
-    """The gain of a long finite horizon, iterated backward with the cost written out anew."""
+    """The gain of a long finite horizon, iterated backward with an independent form of the cost."""
     u_R, r_R, dt, w = 1.0, 0.1, 0.1, WEIGHTS
     Phi, Gamma = sampled_model(u_R, r_R, V, w, dt)
     U2 = u_R**2 * (1 + (V.m11 * r_R / V.d22) ** 2)
@@ -155,11 +155,11 @@ def test_gain_is_that_of_the_riccati_recursion():
 @pytest.mark.parametrize(
     ("speed_range", "lag"), [("slow", 0.02), ("slow", 0.3), ("cruise", 0.02), ("cruise", 0.3), ("cruise", 0.6)]
 )
-def test_interpolated_gains_stabilise_vehicles_of_other_lags(speed_range, lag):
-    """Eigenvalues of plant, true lag, integral and the controller's own force model over one control period.
+def test_interpolated_gains_stabilise_vehicles_with_other_lags(speed_range, lag):
+    """Eigenvalues of plant, true lag, integral and the controller's model of the forces over one control period.
 
-    The weights are those that the search began at. What it found in slow motion is too high a gain for lags of 0.3 s:
-    limit cycles of millimetres are what they cost.
+    The weights are the initial ones of the search. The tuned gains in slow motion are too high for lags of 0.3 s: they
+    cause limit cycles of a few millimetres.
     """
     w = LqiWeights(**load_gains("lqi", speed_range, LqiWeights._fields, "start"))
     dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[speed_range]
@@ -191,7 +191,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (None, "there are no gains in .*auv-gym tune lqi --speed-range slow"),
+        (None, "lqi-slow.json does not exist; .*auv-gym tune lqi --speed-range slow"),
         ("{", "is not valid JSON"),
         ("[1, 2]", "has the gains"),
         ('{"gains": {"heading": 1.0}}', "has the gains heading; they must be velocity, heading"),
@@ -209,7 +209,7 @@ def test_wrong_gain_files_are_refused(folder, text, reason):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_given_gains_replace_the_files(folder, name):
-    with pytest.raises(ValueError, match="there are no gains"):
+    with pytest.raises(ValueError, match="does not exist"):
         baselines.make_policy(name)
     names = gain_names(name)
     policy = baselines.make_policy(name, gains=dict.fromkeys(names, 0.5))
@@ -220,7 +220,7 @@ def test_given_gains_replace_the_files(folder, name):
 
 
 def test_unknown_speed_ranges_and_options_are_refused():
-    with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
+    with pytest.raises(ValueError, match="unknown speed range 'fast'; allowed are slow, cruise"):
         load_gains("lqi", "fast", LqiWeights._fields)
     with pytest.raises(ValueError, match=r"policy 'integral' does not take these options: .*form"):
         baselines.make_policy("integral", form="other")

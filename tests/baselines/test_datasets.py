@@ -1,4 +1,4 @@
-"""Episodes as records, and datasets of them: the same as the environment's own, to the bit, and deterministic."""
+"""Records of episodes, and datasets of them: equal to the environment's episodes, and deterministic."""
 
 import re
 
@@ -19,8 +19,8 @@ LOSING = {**PRESETS["cruise-storm"].to_dict(), "steps": 200, "lost_distance": 2.
 
 
 @pytest.mark.parametrize(("policy", "scenario"), [("integral", SHORT), ("open-loop", LOSING), ("apg-cruise", SHORT)])
-def test_a_record_is_what_the_environment_gives(policy, scenario):
-    record, acting = run_episode(policy, scenario, seed=3), make_policy(policy)
+def test_a_record_equals_an_episode_of_the_environment(policy, scenario):
+    record, controller = run_episode(policy, scenario, seed=3), make_policy(policy)
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario)
     observation, info = env.reset(seed=3)
     memory, first, k, over = None, np.array([True]), 0, False
@@ -31,7 +31,7 @@ def test_a_record_is_what_the_environment_gives(policy, scenario):
         np.testing.assert_allclose(record.references[k], here.reference[:2], rtol=0, atol=1e-10)
         np.testing.assert_allclose((record.errors[k], record.times[k]), (info["position_error"], info["time"]))
         assert record.saturated[k] == info["saturated"]
-        action, memory = acting.predict(observation, memory, first)
+        action, memory = controller.predict(observation, memory, first)
         np.testing.assert_allclose(record.actions[k], action, rtol=0, atol=1e-6)
         observation, reward, terminated, truncated, info = env.step(record.actions[k])
         np.testing.assert_allclose(record.rewards[k], reward, rtol=0, atol=1e-10)
@@ -42,7 +42,7 @@ def test_a_record_is_what_the_environment_gives(policy, scenario):
     assert record.total_reward == record.rewards.sum()
 
 
-def test_episodes_side_by_side_are_those_of_one_after_the_other():
+def test_parallel_episodes_equal_single_episodes():
     for i, record in enumerate(run_episodes("open-loop", LOSING, 4, seed=5)):
         alone = run_episode("open-loop", LOSING, seed=5 + i)
         assert record.seed == alone.seed == 5 + i
@@ -52,7 +52,7 @@ def test_episodes_side_by_side_are_those_of_one_after_the_other():
         run_episodes("open-loop", SHORT, 0)
 
 
-def test_the_oracle_and_policies_with_a_preview_have_records_too():
+def test_records_of_the_oracle_and_of_policies_with_a_preview():
     assert run_episode("oracle", SHORT, seed=0).errors[-1] < run_episode("open-loop", SHORT, seed=0).errors[-1]
     assert run_episode("apg-preview-cruise", SHORT).observations.shape[1] > SIZE
     assert {"oracle", "apg-preview-cruise"} <= set(list_policies())
@@ -74,7 +74,7 @@ def made(folder, scenario_file, capsys, *words):
     return re.search(r"\| `(\w{64})` \|", card)[1]
 
 
-def test_datasets_are_deterministic_and_run_again(tmp_path, scenario_file, monkeypatch, capsys):
+def test_datasets_are_deterministic_and_can_be_replayed(tmp_path, scenario_file, monkeypatch, capsys):
     words = (
         "--policy",
         "backstepping",
@@ -112,7 +112,7 @@ def test_datasets_are_deterministic_and_run_again(tmp_path, scenario_file, monke
     assert len(seeds) == 18
 
 
-def test_noise_is_what_was_asked_for(scenario_file):
+def test_noise_has_the_given_deviation(scenario_file):
     plain, noisy = (module.collect(["open-loop"], PRESETS["cruise-calm"], 2, [noise], 0)[0] for noise in (0.0, 0.2))
     difference = np.concatenate([a.actions - b.actions for a, b in zip(noisy.records, plain.records, strict=True)])
     assert difference.std() == pytest.approx(0.2, rel=0.1)
@@ -130,12 +130,12 @@ def test_noise_is_what_was_asked_for(scenario_file):
         (["--id", "a b", "--episodes", "1", "--scenario", "cruise-calm"], "a b"),
     ],
 )
-def test_mistakes_are_answered_in_a_line(words, message, tmp_path):
+def test_wrong_arguments_raise_usage_errors(words, message, tmp_path):
     with pytest.raises(UsageError, match=re.escape(message)):
         main([*words, "--out", str(tmp_path)])
 
 
-def test_a_dataset_is_not_overwritten_and_its_library_is_asked_for(tmp_path, scenario_file, capsys, monkeypatch):
+def test_messages_for_an_existing_dataset_and_a_missing_library(tmp_path, scenario_file, capsys, monkeypatch):
     made(tmp_path, scenario_file, capsys, "--id", "auv/once-v0")
     with pytest.raises(UsageError, match="exists; choose another --id"):
         main(["--scenario", scenario_file, "--episodes", "3", "--out", str(tmp_path), "--id", "auv/once-v0"])

@@ -1,4 +1,4 @@
-"""Filter and observer against true disturbances and statistics; the water's frame against the planner."""
+"""Filter and observer against true disturbances and statistics; the plan in the water frame against the planner."""
 
 from dataclasses import dataclass, replace
 
@@ -22,13 +22,13 @@ from baselines.control.backstepping import Gains, tracking_forces
 from baselines.control.current_observer import sampled_gains
 from baselines.control.ekf_law import EKF_GAINS
 from baselines.estimation.filter_equations import Belief
-from baselines.estimation.kalman import HYPOTHESES, ODDS, ExtendedKalmanFilter, believed, tuning_of
+from baselines.estimation.kalman import HYPOTHESES, ODDS, ExtendedKalmanFilter, beliefs_of, tuning_of
 from baselines.estimation.sea_model import Estimate
 from baselines.estimation.water_frame import (
     PlannedReference,
     ReferenceMotion,
     Sea,
-    planned,
+    plan_in_water,
     reference_motion,
     water_errors,
 )
@@ -36,16 +36,16 @@ from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
 
-def every_preset(lanes_each):
-    """Return an environment with so many vehicles in each benchmark scenario, whose episodes do not end."""
-    names = [f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in CASES for _ in range(lanes_each)]
+def every_preset(count):
+    """Return an environment with `count` vehicles in each benchmark scenario, whose episodes do not end."""
+    names = [f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in CASES for _ in range(count)]
     scenarios = [replace(PRESETS[name], steps=601, lost_distance=64.0) for name in names]
     return UnderactuatedAUVTrackVectorEnv(len(names), scenarios), np.array(names)
 
 
 def likelier(memory):
-    """Return for each vehicle what the filter believes that fits its measurements better."""
-    rough, calm = believed(memory[:HYPOTHESES])
+    """Return for each vehicle the memory of the filter with the higher likelihood."""
+    rough, calm = beliefs_of(memory[:HYPOTHESES])
     better = calm.fit[0] > rough.fit[0] + ODDS
 
     def chosen(a, b):
@@ -56,27 +56,27 @@ def likelier(memory):
 
 
 def test_filter_over_long_runs():
-    """Its covariance stays positive, and where sensors are noisy it is as wide as what it is wrong by."""
+    """The covariance stays positive definite, and it agrees with the errors in scenarios with noisy sensors."""
     env, names = every_preset(4)
     policy, memory = make_policy("ekf"), None
     observation, _ = env.reset(seed=20_000_000)
-    first, judged, least = np.ones(len(names), dtype=bool), [], np.inf
+    first, distances, least = np.ones(len(names), dtype=bool), [], np.inf
     for k in range(600):
         action, memory = policy.predict(observation, memory, first)
         if k >= 200 and k % 5 == 0:
             _, z, P, *_ = likelier(memory)
             position = (env.state[:, :2] - np.stack((env.reference.x, env.reference.y), axis=1)) - z[:2].T
             heading = wrap_angle(env.state[:, 2:3] - z[2][:, None], ARRAYS)
-            off = np.concatenate((position, heading), axis=1)
-            judged.append(np.einsum("ni,ni->n", off, np.linalg.solve(P[:, :3, :3], off[..., None])[..., 0]))
+            error = np.concatenate((position, heading), axis=1)
+            distances.append(np.einsum("ni,ni->n", error, np.linalg.solve(P[:, :3, :3], error[..., None])[..., 0]))
         observation, *_ = env.step(action)
         first = np.zeros_like(first)
         if k % 25 == 0:
-            for P in (belief.covariance for belief in believed(memory[:HYPOTHESES])):
+            for P in (belief.covariance for belief in beliefs_of(memory[:HYPOTHESES])):
                 deviation = np.sqrt(np.einsum("nii->ni", P))
                 least = min(least, np.linalg.eigvalsh(P / deviation[:, :, None] / deviation[:, None, :]).min())
     assert least > 1e-12
-    mean = np.mean(judged, axis=0)
+    mean = np.mean(distances, axis=0)
     assert 2 < mean[names == "cruise-noise"].mean() < 4
     assert 2 < mean[names == "cruise-storm"].mean() < 4.5
     noise = np.sqrt(likelier(memory).noise.T)
@@ -89,11 +89,11 @@ TURNING = RandomPath(speed=(0.6, 1.2), turn_rate=0.12, families=("circle", "sine
 CURRENT = replace(PRESETS["cruise-current"], path=TURNING)
 
 
-def belief(scenario, policy, lanes=24, steps=500):
-    """Return the policy's last memory and the environment, after so many steps from seed 0."""
-    env = UnderactuatedAUVTrackVectorEnv(lanes, scenario)
+def memory_after(scenario, policy, n=24, steps=500):
+    """Return the memory of the policy and the environment after `steps` steps from seed 0."""
+    env = UnderactuatedAUVTrackVectorEnv(n, scenario)
     observation, _ = env.reset(seed=0)
-    memory, first = None, np.ones(lanes, dtype=bool)
+    memory, first = None, np.ones(n, dtype=bool)
     for _ in range(steps):
         action, memory = policy.predict(observation, memory, first)
         observation, *_ = env.step(action)
@@ -102,27 +102,28 @@ def belief(scenario, policy, lanes=24, steps=500):
     return memory, env
 
 
-def test_filter_finds_the_current_through_noise():
-    """A path that turns tells current and load apart, if the load is believed to be steady."""
+def test_filter_estimates_the_current_with_noisy_sensors():
+    """On a turning path current and load are both observable, if the model's load is almost constant."""
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
     gains = {**load_gains("ekf", "cruise", EKF_GAINS), "current": 0.01, "gust": 0.001, **calm}
-    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_policy("ekf", gains=gains))
+    policy = make_policy("ekf", gains=gains)
+    memory, env = memory_after(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), policy)
     z = Estimate(*likelier(memory).state)
-    off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
+    error = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
     assert np.hypot(*env.current.T).mean() > 0.2
-    assert off.mean() < 0.06
+    assert error.mean() < 0.06
     state, reference = env.state, env.reference
     assert np.hypot(z.x_e - (state[:, 0] - reference.x), z.y_e - (state[:, 1] - reference.y)).mean() < 0.03
     assert abs(wrap_angle(z.psi - state[:, 2], ARRAYS)).mean() < 0.01
 
 
-def test_observer_finds_the_current():
-    memory, env = belief(CURRENT, make_policy("current-observer"))
+def test_observer_estimates_the_current():
+    memory, env = memory_after(CURRENT, make_policy("current-observer"))
     assert np.hypot(*(memory[0][:, 5:7] - env.current).T).max() < 0.02
 
 
-def test_filter_finds_lag_and_load():
-    """Actuators of different lags and a constant load, measured without noise under commands that move."""
+def test_filter_estimates_lag_and_load():
+    """Actuators with different lags and a constant load, without measurement noise, under varying commands."""
     lags, load = np.array([0.15, 0.3, 0.6]), (15.0, 0.0, -6.0)
     dt, n, steps = 0.1, len(lags), 600
     reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
@@ -159,12 +160,12 @@ AT_FIRST = PlannedReference(*np.zeros((len(PlannedReference._fields), 1)))
 
 
 def in_water(memory, motion, sea, dt):
-    return planned(memory, motion, sea, dt, PAPER_VEHICLE.coefficients, ARRAYS)
+    return plan_in_water(memory, motion, sea, dt, PAPER_VEHICLE.coefficients, ARRAYS)
 
 
 @dataclass(frozen=True)
 class Drifting:
-    """A path as seen from water that moves with a constant velocity."""
+    """A path relative to water that moves with a constant velocity."""
 
     path: Circle | Sine | FigureEight
     V: tuple[float, float]
@@ -185,7 +186,7 @@ class Drifting:
 
 @pytest.mark.parametrize("path", [Circle(1.0, 0.1), Sine(0.8, 2.0, 0.15), FigureEight(20.0, 0.06)])
 def test_water_plan_is_the_planners(path):
-    """Step by step from the observation's terms, as exactly as its second-order formulas allow."""
+    """Step by step from the terms of the observation, up to the error of the formulas of second order."""
     V, dt = (0.2, -0.1), 0.1
     times = dt * np.arange(400)
     ground, water = plan(path, PAPER_VEHICLE, times), plan(Drifting(path, V), PAPER_VEHICLE, times)
@@ -231,7 +232,7 @@ FIRM = Gains(k=9.5, k1=0.0, cu=0.3, ku=0.0, c=1.65, kc=0.0, cr=1.62, reference_s
 
 
 class KnownCurrent:
-    """The law in the water frame with the current given to it."""
+    """The law in the water frame with a given current."""
 
     def __init__(self, V):
         self.V = V
@@ -250,13 +251,13 @@ class KnownCurrent:
         return *tracking_forces(water_errors(state, R, ARRAYS), PAPER_VEHICLE, FIRM, ARRAYS), memory
 
 
-def test_known_current_leaves_no_error():
-    """Half the vehicle's speed of current: what remains is that of forces held over a period."""
+def test_known_current_gives_no_error():
+    """In a current of half the vehicle's speed, except for the error due to constant forces in a control period."""
     V = (0.4, 0.3)
     current = RandomCurrent(speed=0.5, direction=float(np.arctan2(V[1], V[0])), relative=False)
     scenario = Scenario(path=Circle(1.0, 0.1), current=current, start=Start(), control_dt=0.02, steps=3500)
     errors = {}
-    for name, policy in {"water": Remembering(KnownCurrent(V)), "printed": make_policy("backstepping")}.items():
+    for name, policy in {"water": Remembering(KnownCurrent(V)), "ground": make_policy("backstepping")}.items():
         env = UnderactuatedAUVTrackVectorEnv(1, scenario)
         observation, _ = env.reset(seed=0)
         memory, first, kept = None, np.ones(1, dtype=bool), []
@@ -266,11 +267,11 @@ def test_known_current_leaves_no_error():
             first[:] = False
             kept += [info["position_error"][0]] if k > 2750 else []
         errors[name] = np.sqrt(np.mean(np.square(kept)))
-    assert errors["printed"] > 0.5
+    assert errors["ground"] > 0.5
     assert errors["water"] < 1.5e-4
 
 
-def test_gains_of_the_observer_are_its_poles():
+def test_gains_of_the_observer_place_its_poles():
     dt = 0.3
     for drag in (70 / 215, 100 / 265):
         l1, l2 = sampled_gains(drag, (1.2, 0.4), dt, FLOATS)

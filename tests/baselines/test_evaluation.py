@@ -1,4 +1,4 @@
-"""evaluate.py: its mistakes in one line, its numbers by hand, its results the same for any number of workers."""
+"""evaluate.py: one-line messages, numbers of other implementations, equal results for any number of workers."""
 
 import csv
 import dataclasses
@@ -28,7 +28,7 @@ from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import PolicyError, make_env, rollout
 from baselines.evaluation.rows import RowStore
-from baselines.evaluation.runner import LANES, Task, drawn, run_all, runs
+from baselines.evaluation.runner import MOST_PARALLEL, Task, drawn, run_all, runs
 from baselines.tools.command_line import run
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import Workers
@@ -38,7 +38,7 @@ SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "steady_rmse_m": dict, "score": type(None),
     "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failed": int,
-    "failure_rate": float, "failure_rate_bound": float,
+    "failure_rate": float, "failure_rate_bound": float, "to_best_m": dict,
     "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
     "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
@@ -65,7 +65,7 @@ def small(tmp_path):
 
 class Raising:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        raise RuntimeError("no\nidea")
+        raise RuntimeError("no\nresult")
 
 
 class NotANumber:
@@ -87,7 +87,7 @@ def bad_policies(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--bogus"], "--bogus"),
         (["extra"], "extra"),
@@ -105,18 +105,18 @@ def bad_policies(monkeypatch):
         (["--suite", "presets", "--scenario", "paper-circle"], "give one of them"),
     ],
 )
-def test_a_mistake_is_answered_in_one_line(call, capsys, tmp_path, arguments, says):
+def test_a_wrong_argument_gives_a_message_of_one_line(call, capsys, tmp_path, arguments, message):
     assert call(*arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("evaluate.py: ")
     assert err.count("\n") == 1
-    assert says in err
+    assert message in err
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("name = ", "is not valid TOML"),
         ("colour = 1", "colour"),
@@ -124,12 +124,12 @@ def test_a_mistake_is_answered_in_one_line(call, capsys, tmp_path, arguments, sa
         ('[path]\nfamily = "circle"\nspeed = 0.1\nturn_rate = 9.0', "infeasible"),
     ],
 )
-def test_a_wrong_scenario_file_is_answered_in_one_line(call, capsys, tmp_path, text, says):
+def test_a_wrong_scenario_file_gives_a_message_of_one_line(call, capsys, tmp_path, text, message):
     (tmp_path / "wrong.toml").write_text(text)
     assert call("--scenario", "wrong.toml") == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert says in err
+    assert message in err
 
 
 def test_two_scenarios_of_one_name_are_refused(call, capsys, tmp_path, small):
@@ -171,15 +171,15 @@ def without_seconds(file):
 
 
 def test_results_are_the_same_for_any_number_of_jobs(call, small, tmp_path, capsys, monkeypatch):
-    """Four tasks, which two workers finish in any order."""
-    monkeypatch.setattr("baselines.evaluation.runner.LANES", 6)
+    """There are four tasks, which two workers finish in any order."""
+    monkeypatch.setattr("baselines.evaluation.runner.MOST_PARALLEL", 6)
     common = ("--policy", "open-loop", "--scenario", small, "--episodes", "12", "--seed", "3", "--png")
     for jobs in ("1", "2"):
         assert call(*common, "--jobs", jobs, "--out", jobs) == 0
     one, two = (without_seconds(tmp_path / jobs / "results.json") for jobs in ("1", "2"))
     assert one == two
     pictures = [sorted((tmp_path / jobs).glob("*.png")) for jobs in ("1", "2")]
-    assert [file.name for file in pictures[0]] == ["errors-small.png", "tails-small.png"]
+    assert [file.name for file in pictures[0]] == ["errors-small.png", "steady-rmse-small.png"]
     assert [file.read_bytes() for file in pictures[0]] == [file.read_bytes() for file in pictures[1]]
     assert "open-loop" in capsys.readouterr().out
 
@@ -204,16 +204,18 @@ def test_results_files(call, small, tmp_path, capsys):
     assert expert["effort_ratio"] == expert["smoothness_ratio"] == 1
     assert other["effort_ratio"] < 1
     for row in record["results"]:
-        assert {key: type(value) for key, value in row.items()} == ROW
+        best = row["to_best_m"] is None
+        assert {key: type(value) for key, value in row.items()} == ROW | ({"to_best_m": type(None)} if best else {})
         low, high = row["steady_rmse_m"]["ci95"]
         assert low <= row["steady_rmse_m"]["mean"] <= high
+    assert sum(row["to_best_m"] is None for row in record["results"]) == 1
     lines = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
     assert [float(line["steady_rmse_m"]) for line in lines] == [r["steady_rmse_m"]["mean"] for r in record["results"]]
     assert not [file for file in folder.iterdir() if file.name.startswith(".")]
 
 
 class Page(html.parser.HTMLParser):
-    """Collects the text of a page, and refuses what one that opens from disk must not have."""
+    """Collects the text of a page, and fails if the page needs other files or the network."""
 
     def __init__(self, text):
         super().__init__()
@@ -256,7 +258,15 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     assert call("--suite", "benchmark-v1", "--episodes", "2", "--policy", "open-loop", "--jobs", "1", "--out", "a") == 0
     page = Page((tmp_path / "a" / "report.html").read_text(encoding="utf-8"))
     assert page.open == []
-    for text in ("score", "oracle*", "cruise-storm", "open-loop", "What the columns mean", "--episodes 2", "numpy"):
+    for text in (
+        "score",
+        "oracle*",
+        "cruise-storm",
+        "open-loop",
+        "Definitions of the columns",
+        "--episodes 2",
+        "numpy",
+    ):
         assert text in page.text
     record = strict_json((tmp_path / "a" / "results.json").read_text())
     live = {row["policy"] for row in record["results"] if row["recorded"] is None}
@@ -272,7 +282,7 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     assert scores["oracle"] == 1
     assert call("--scenario", small, "--policy", "raising", "--jobs", "1", "--episodes", "1", "--out", "b") == 1
     page = Page((tmp_path / "b" / "report.html").read_text(encoding="utf-8"))
-    assert "raising in small: RuntimeError: no idea" in page.text
+    assert "raising in small: RuntimeError: no result" in page.text
 
 
 def test_one_episode_has_no_interval(call, small, tmp_path):
@@ -281,20 +291,20 @@ def test_one_episode_has_no_interval(call, small, tmp_path):
     assert row["steady_rmse_m"]["ci95"] == [None, None]
 
 
-def test_a_failing_policy_costs_its_own_row_only(call, small, tmp_path, capsys, bad_policies):
+def test_a_failing_policy_does_not_affect_other_rows(call, small, tmp_path, capsys, bad_policies):
     common = ("--scenario", small, "--jobs", "1", "--episodes", "6", "--step-limit", "5e-3", "--out", "bad")
     assert call(*common, "--policy", "raising", "nan", "slow") == 1
     expert, raising, nan, slow = strict_json((tmp_path / "bad" / "results.json").read_text())["results"]
     assert expert["error"] is None
     assert expert["episodes"] == 6
-    assert raising["error"] == "RuntimeError: no idea"
+    assert raising["error"] == "RuntimeError: no result"
     assert nan["error"].startswith("step 0, episode 0: action is [nan nan]; it must be two finite numbers")
     assert "allowed are 0.005 s" in slow["error"]
     for row in (raising, nan, slow):
         assert all(row[key] is None for key in ROW if key not in ("policy", "scenario", "error", "warnings"))
     out, err = capsys.readouterr()
     assert out.count("failed") == 3
-    assert "failed: raising in small, RuntimeError: no idea" in err
+    assert "failed: raising in small, RuntimeError: no result" in err
     assert len((tmp_path / "bad" / "results.csv").read_text().splitlines()) == 5
 
 
@@ -317,7 +327,7 @@ class Push:
 """
 
 
-def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, capsys):
+def test_resume_runs_a_changed_policy_again(call, small, tmp_path, capsys):
     common = ("--scenario", small, "--policy", "mine.py:Push", "--episodes", "2", "--jobs", "1", "--resume")
     steady_rmses = []
     for push, state in ((0.1, "done"), (0.1, "known"), (0.2, "done")):
@@ -329,7 +339,7 @@ def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, 
     assert steady_rmses[0] == steady_rmses[1] != steady_rmses[2]
 
 
-def test_a_resumed_run_says_what_is_watched(call, small, tmp_path, capsys):
+def test_resume_prints_the_files_that_it_checks(call, small, tmp_path, capsys):
     (tmp_path / "mine.py").write_text(PUSHES.format(0.1))
     Path("w.txt").write_text("1")
     loop = "import json, sys; print('{}', flush=True) if json.loads(input()) else 0\n"
@@ -339,10 +349,10 @@ def test_a_resumed_run_says_what_is_watched(call, small, tmp_path, capsys):
     program = f"cmd:{sys.executable} program.py --weights=w.txt"
     policies = ("--policy", "mine.py:Push", program, "--scenario", small, "--episodes", "1", "--jobs", "1")
     assert call(*policies) == 0
-    assert "watches" not in capsys.readouterr().err
+    assert "--resume checks" not in capsys.readouterr().err
     assert call(*policies, "--resume") == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "watches" in line]
-    assert [line.startswith("note: --resume watches the file mine.py,") for line in lines] == [True, False]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "--resume checks" in line]
+    assert [line.startswith("note: --resume checks the file mine.py,") for line in lines] == [True, False]
     assert "program.py, w.txt, and nothing else" in lines[1]
 
 
@@ -358,8 +368,8 @@ class Push:
 """
 
 
-def test_a_time_limit_holds_for_a_finished_run(call, small, tmp_path, capsys):
-    """Its time is that on the clock: this policy sleeps. A limit that it keeps does not make it run again."""
+def test_resume_applies_the_time_limit_to_finished_runs(call, small, tmp_path, capsys):
+    """The limit is for wall time, since this policy sleeps. A run within the limit is not repeated."""
     (tmp_path / "mine.py").write_text(SLEEPS)
     common = ("--scenario", small, "--policy", "mine.py:Push", "--episodes", "1", "--jobs", "1", "--resume")
     for limit, status, state in (("1", 0, "done"), ("2", 0, "known"), ("0.001", 1, "failed"), ("0.9", 0, "known")):
@@ -371,7 +381,7 @@ def test_a_time_limit_holds_for_a_finished_run(call, small, tmp_path, capsys):
 
 def test_runs_of_another_simulator_run_again(call, small, tmp_path, monkeypatch, capsys):
     common = ("--scenario", small, "slow-calm", "--episodes", "1", "--jobs", "1", "--resume")
-    note = "note: runs that another version of the simulator has left are run again\n"
+    note = "note: runs of another version of the simulator are run again\n"
     for module in ("runner", "command"):
         monkeypatch.setattr(f"baselines.evaluation.{module}.simulator_fingerprint", lambda: "the one")
     for state, count in (("done", 0), ("known", 0)):
@@ -397,7 +407,7 @@ def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
     assert run_all((f"{file}:Push",), cells)[0].error is None
 
 
-def test_an_unfinished_file_leaves_no_trace(tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     file = tmp_path / "results.json"
     write_atomically(file, "old")
     monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
@@ -407,7 +417,7 @@ def test_an_unfinished_file_leaves_no_trace(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_interruption_is_no_traceback(monkeypatch, capsys):
+def test_interruption_prints_one_line(monkeypatch, capsys):
     def command(_):
         raise KeyboardInterrupt
 
@@ -416,7 +426,7 @@ def test_interruption_is_no_traceback(monkeypatch, capsys):
     assert capsys.readouterr().err == "evaluate.py: interrupted\n"
 
 
-def test_default_is_the_benchmark_and_the_expert(tmp_path):
+def test_default_request_is_the_benchmark_with_the_expert(tmp_path):
     request = Request.of(Options(out=tmp_path / "new" / "folder"))
     assert (request.suite, request.policies) == ("benchmark-v2", ("backstepping",))
     assert {run.policy for run in request.earlier} == set(baselines.list_policies()) - {"backstepping"}
@@ -430,7 +440,7 @@ def test_every_preset(tmp_path):
     assert [len(cell.episodes) for _, cell in request.pairs] == [20] * len(PRESETS)
 
 
-def test_hash_tells_tasks_apart(tmp_path):
+def test_different_episodes_have_different_hashes(tmp_path):
     hashes = {
         Request.of(Options(scenario=scenarios, episodes=episodes, seed=seed, jobs=jobs, out=tmp_path)).hash
         for scenarios, episodes, seed, jobs in (
@@ -444,8 +454,8 @@ def test_hash_tells_tasks_apart(tmp_path):
     assert len(hashes) == 4
 
 
-def test_policies_meet_the_same_episodes():
-    """Start and reference of an episode do not depend on the policy; they are those of an environment's reset."""
+def test_all_policies_run_in_the_same_episodes():
+    """Start and reference of an episode are those of an environment's reset, for every policy."""
     scenario = PRESETS["slow-storm"]
     cell = drawn(scenario, 2, 4)
     one, other = (Task(p, scenario, cell.episodes).run()[1].rollout.tracks[0] for p in ("backstepping", "open-loop"))
@@ -459,17 +469,17 @@ def test_policies_meet_the_same_episodes():
 
 @dataclasses.dataclass
 class EpisodeRecord:
-    """One episode of n control steps, fewer than the scenario's if it was lost."""
+    """One episode of n control steps, fewer than the scenario's if it failed."""
 
     errors: np.ndarray  # [m] shape (n,)
     actions: np.ndarray  # shape (n, 2)
     failed: bool
-    positions: np.ndarray  # x, y [m] at the start and after each step, shape (n + 1, 2); those of the reference too
-    references: np.ndarray
+    positions: np.ndarray  # x, y [m] at the start and after each step, shape (n + 1, 2)
+    references: np.ndarray  # x, y [m] of the reference, shape (n + 1, 2)
 
 
 def run_episode(env, policy, seed):
-    """Return one episode of a policy in a scalar environment: another loop than the evaluation's, to compare with."""
+    """Return one episode of a policy in a scalar environment, for comparison with the loop of the evaluation."""
     observation, _ = env.reset(seed=seed)
     memory, first, over = None, np.array([True]), False
     errors, actions, rows = [], [], [(*env.unwrapped.state[:2], *env.unwrapped.reference[:2])]
@@ -484,8 +494,8 @@ def run_episode(env, policy, seed):
     return EpisodeRecord(np.array(errors), np.array(actions), failed, table[:, :2], table[:, 2:])
 
 
-def test_side_by_side_as_one_by_one():
-    """A controller with memory and one without, in a scenario that both may lose."""
+def test_parallel_episodes_equal_single_episodes():
+    """For a controller with memory and one without, in a scenario in which some episodes fail."""
     scenario = dataclasses.replace(PRESETS["cruise-storm"], steps=90, lost_distance=1.6)
     episodes = drawn(scenario, 12, 3).episodes
     for policy in (baselines.make_policy("backstepping"), Counting()):
@@ -503,7 +513,7 @@ def test_side_by_side_as_one_by_one():
 
 
 class Counting:
-    """Waves the rudder by the number of the step since the episode's start."""
+    """Moves the rudder periodically, by the number of steps since the start of the episode."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         single = observation.ndim == 1
@@ -523,7 +533,7 @@ def test_a_policy_must_act_for_every_episode():
         rollout(One(), SMALL, cell.episodes, 1.0)
 
 
-def test_runs_come_cell_by_cell_with_progress():
+def test_runs_are_ordered_by_cell_and_report_progress():
     steps = {}
     policies, cells = ("backstepping", "open-loop"), [drawn(s, 6, 7) for s in (SMALL, PRESETS["slow-calm"])]
     found = list(runs([(p, cell) for cell in cells for p in policies], note=steps.__setitem__))
@@ -531,14 +541,14 @@ def test_runs_come_cell_by_cell_with_progress():
     assert sum(steps.values()) == sum(6 * 2 * cell.scenario.steps for cell in cells)
 
 
-def test_more_episodes_than_lanes():
+def test_more_episodes_than_run_in_parallel():
     short = dataclasses.replace(SMALL, steps=3)
-    many = run_all(("backstepping",), [drawn(short, LANES + 1, 0)])[0].measures
-    few = run_all(("backstepping",), [drawn(short, 2, LANES - 1)])[0].measures
+    many = run_all(("backstepping",), [drawn(short, MOST_PARALLEL + 1, 0)])[0].measures
+    few = run_all(("backstepping",), [drawn(short, 2, MOST_PARALLEL - 1)])[0].measures
     np.testing.assert_allclose(many.steady_rmse[-2:], few.steady_rmse, rtol=1e-12)
 
 
-def test_an_interrupted_evaluation_goes_on(call, small, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_evaluation_can_be_resumed(call, small, tmp_path, monkeypatch, capsys):
     common = ("--scenario", small, "slow-calm", "--episodes", "2", "--jobs", "1")
     assert call(*common, "--out", "whole") == 0
     with monkeypatch.context() as patch:
@@ -588,7 +598,7 @@ def test_damaged_rows_run_again(tmp_path):
     assert store.load(run.key) is None
 
 
-def test_an_episode_is_measured_as_the_environment_reports_it():
+def test_errors_equal_those_of_the_environment():
     record = run_episode(make_env(SMALL), baselines.make_policy("open-loop"), 3)
     assert record.errors.shape == (45,)
     assert record.actions.shape == (45, 2)
@@ -600,14 +610,14 @@ def test_an_episode_is_measured_as_the_environment_reports_it():
     np.testing.assert_allclose(track.error[1:], record.errors[:-1], rtol=1e-9)
 
 
-def test_a_lost_episode_ends():
+def test_an_episode_ends_beyond_the_lost_distance():
     scenario = Scenario(name="failed", lost_distance=0.5, steps=100, start=PRESETS["paper-circle"].start)
     record = run_episode(make_env(scenario), baselines.make_policy("backstepping"), 0)
     assert record.failed
     assert len(record.errors) < 100
 
 
-def test_warnings_of_a_policy_are_kept():
+def test_warnings_of_a_policy_are_recorded():
     _, part = Task("backstepping-paper", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes).run()
     assert part.error is None
     assert "stable up to" in part.warnings[0]

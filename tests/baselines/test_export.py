@@ -1,4 +1,4 @@
-"""Exported agents do what the agents do: as an ONNX model, as a C header, and on an emulated Cortex-M4."""
+"""Exported agents give the actions of the agents: as an ONNX model, as a C header, and on an emulated Cortex-M4."""
 
 import ctypes
 import json
@@ -32,30 +32,30 @@ from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
 KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "helm")
-"""An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory."""
+"""Agents of all kinds: recurrent, with filters, with a preview, without expert, tanh and relu layers, long memory."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
 
 
-def needed(*programs):
-    """Skip the test where a program is not installed, but on CI, where it must be."""
-    if lacking := [name for name in programs if shutil.which(name) is None]:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"not installed: {', '.join(lacking)}")
+def require(*programs):
+    """Skip the test if a program is not installed; on CI the test fails."""
+    if missing := [name for name in programs if shutil.which(name) is None]:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"not installed: {', '.join(missing)}")
 
 
-def ran(folder, *words):
-    """Return what a program prints; it must not fail."""
+def run_program(folder, *words):
+    """Run a program, check that it succeeds and return its output."""
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def compiled():
+def require_compiler():
     if native.compiler() is None or not native.wanted():
-        pytest.skip("a header runs compiled")
+        pytest.skip("a header needs a compiler")
 
 
 def episodes(name):
-    """Return two episodes with every disturbance at once, which policies run in closed loops of their own."""
+    """Return two episodes with all disturbances, in which each policy runs in closed loop."""
     scenario = PRESETS[f"{'cruise' if 'cruise' in name else 'slow'}-storm"]
     cell = scenario, drawn(scenario, 2, seed=11).episodes
     return Repeatable(lambda preview: beginning([cell], preview))
@@ -65,9 +65,11 @@ def commands(repeatable, policy):
     return np.array([moment.command for moment in repeatable.play(policy, 600)])
 
 
-@pytest.mark.parametrize("name", shipped_agents())
-def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
-    compiled()
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n.startswith("helm-") else ()) for n in shipped_agents()]
+)
+def test_model_and_header_give_the_actions_of_the_agent_in_closed_loop(name):
+    require_compiler()
     agent, run = exported(name), episodes(name)
     expected = commands(run, make_policy(name))
     assert expected.shape == (600, 2, 2)
@@ -76,9 +78,9 @@ def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
 
 
 @pytest.mark.parametrize("name", ["apg-preview-cruise", "helm-any"])
-def test_for_another_vehicle_they_do_what_the_agent_does_for_it(name):
-    """Whether the agent is told the vehicle or not, in the vehicle's own SI units."""
-    compiled()
+def test_model_and_header_give_the_actions_of_the_agent_for_another_vehicle(name):
+    """With and without the vehicle's parameters as inputs of the agent; measurements are in SI units."""
+    require_compiler()
     scenario = as_scenario("cruise-storm@lauv")
     agent = exported(name, scenario.vehicle)
     cell = scenario, drawn(scenario, 2, seed=11).episodes
@@ -94,25 +96,25 @@ def test_for_another_vehicle_they_do_what_the_agent_does_for_it(name):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_in_single_precision_each_decision_is_the_same_but_for_rounding(name):
-    compiled()
+def test_single_precision_changes_actions_by_rounding_errors_only(name):
+    require_compiler()
     agent, numpy, memory = exported(name), make_policy(name), None
     model, header = onnx_policy(agent, "float32"), HeaderPolicy(agent)
     for moment in episodes(name).play(make_policy(name), 60):
         parts = [a.astype(np.float32) for a in memory or () if a.size]
         rows = (np.hstack([*parts, np.zeros((2, 2), np.float32)]),) if parts else None  # the last command is not read
-        decided = [
+        actions = [
             model.predict(moment.observation, tuple(parts) or None)[0],
             header.predict(moment.observation, rows)[0],
         ]
         expected, memory = numpy.predict(moment.observation, memory)
         np.testing.assert_array_equal(expected, moment.command)
-        for action in decided:
+        for action in actions:
             assert np.abs(action - expected).max() < 5e-6
 
 
-def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
-    compiled()
+def test_a_single_observation_gives_the_action_of_a_batch_and_memory_is_reset():
+    require_compiler()
     agent, observations = exported("apg-cruise"), np.random.default_rng(0).uniform(-0.5, 0.5, (3, 18))
     observations[:, [13, 14, 17]] = 3.125, 3.125, 0.8
     for policy in (onnx_policy(agent), HeaderPolicy(agent)):
@@ -129,7 +131,7 @@ def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
     ("precision", "weights"), [("float32", "float32"), ("float64", "float32"), ("float32", "int8")]
 )
 def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weights):
-    needed(compiler)
+    require(compiler)
     large = compiler == "gcc" and precision == weights  # takes longer
     names = ("apg-preview-slow" if large else "apg-slow", "sac-slow", "ppo-lstm-slow")
     for i, name in enumerate(names):  # all in one program
@@ -138,10 +140,10 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
     (tmp_path / "agents.c").write_text("".join(both), encoding="utf-8")
     use = '#include "sac-slow.h"\nint main(void) { agent1_memory m; agent1_start(&m); return m.command[0] != 0; }\n'
     (tmp_path / "main.c").write_text(use, encoding="utf-8")
-    ran(tmp_path, compiler, *STRICT, "agents.c", "main.c", "-o", "program", "-lm")
-    ran(tmp_path, tmp_path / "program")
-    ran(tmp_path, compiler, *STRICT, "-c", "agents.c", "-o", "agents.o")
-    called = set(re.findall(r"\bU (\w+)", ran(tmp_path, "nm", "agents.o")))
+    run_program(tmp_path, compiler, *STRICT, "agents.c", "main.c", "-o", "program", "-lm")
+    run_program(tmp_path, tmp_path / "program")
+    run_program(tmp_path, compiler, *STRICT, "-c", "agents.c", "-o", "agents.o")
+    called = set(re.findall(r"\bU (\w+)", run_program(tmp_path, "nm", "agents.o")))
     assert called <= {
         "_GLOBAL_OFFSET_TABLE_",
         "__stack_chk_fail",
@@ -157,22 +159,22 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 @pytest.mark.parametrize("name", ["apg-slow", "sac-slow", "helm-small"])
 def test_headers_are_cpp_too(tmp_path, compiler, name):
-    """As it is included by a program for Arduino or ROS, in one file, or in two."""
-    needed(compiler)
+    """As programs for Arduino or ROS include the header: in one source file, or in two."""
+    require(compiler)
     (tmp_path / "agent.h").write_text(c_header(exported(name)), encoding="utf-8")
     (tmp_path / "agent.cpp").write_text('#define AUV_AGENT_IMPLEMENTATION\n#include "agent.h"\n', encoding="utf-8")
     use = '#include "agent.h"\nint main() { auv_agent_memory m; auv_agent_start(&m); return m.command[0] != 0; }\n'
     (tmp_path / "main.cpp").write_text(use, encoding="utf-8")
-    ran(tmp_path, compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "agent.cpp", "main.cpp")
-    ran(tmp_path, compiler, "agent.cpp", "main.cpp", "-o", "program", "-lm")
-    ran(tmp_path, tmp_path / "program")
+    run_program(tmp_path, compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "agent.cpp", "main.cpp")
+    run_program(tmp_path, compiler, "agent.cpp", "main.cpp", "-o", "program", "-lm")
+    run_program(tmp_path, tmp_path / "program")
 
 
 BAD = (math.nan, math.inf, -math.inf, 1e30)
 
 
-class Steered:
-    """A compiled header, its memory, and a vehicle that moves straight on, nearly on its path."""
+class CompiledHeader:
+    """A compiled header, its memory, and the measurements of a vehicle close to a straight path."""
 
     def __init__(self, name, precision):
         self.agent = exported(name)
@@ -194,9 +196,9 @@ class Steered:
         return np.array([*measured, *reference, 400.0, 200.0, 0.1, *ahead], self.real)
 
     def observation(self, k):
-        seen = np.zeros(len(self.agent.columns), self.real)
-        self.call("observe", self.memory, self.view(k), seen)
-        return seen
+        observation = np.zeros(len(self.agent.columns), self.real)
+        self.call("observe", self.memory, self.view(k), observation)
+        return observation
 
     def steer(self, view):
         return self.call("steer", self.memory, view, self.command)
@@ -204,10 +206,10 @@ class Steered:
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("name", KINDS)
-def test_a_bad_number_costs_a_header_one_command(name, precision):
-    """In each measurement and each setting: the last command again, a status that says so, and nothing else."""
-    compiled()
-    it = Steered(name, precision)
+def test_a_header_repeats_one_command_for_a_bad_input(name, precision):
+    """For each measurement and each setting: the header repeats the last command, reports it, and keeps its memory."""
+    require_compiler()
+    it = CompiledHeader(name, precision)
     bad = it.view(0)
     bad[0] = math.nan
     assert it.steer(bad) == 1
@@ -242,8 +244,8 @@ def test_a_bad_number_costs_a_header_one_command(name, precision):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_bad_number_costs_a_model_one_command(name):
-    """As any runtime runs it; the other row of the batch goes on."""
+def test_a_model_repeats_one_command_for_a_bad_input(name):
+    """In ONNX Runtime; the other row of the batch is not affected."""
     import onnxruntime
 
     precision = "float32"
@@ -274,15 +276,15 @@ def test_a_bad_number_costs_a_model_one_command(name):
 @pytest.mark.parametrize(
     ("name", "vehicle"), [("apg-cruise", "paper"), ("apg-preview-cruise", "paper"), ("helm-any", "supply")]
 )
-def test_measurements_in_si_units_are_observed_as_the_environment_does(name, vehicle):
-    """A supply ship looks farther ahead than an observation of the paper's vehicle could say."""
-    compiled()
+def test_a_header_computes_the_observation_of_the_environment(name, vehicle):
+    """The preview of a supply ship is farther than the bounds of the paper vehicle's observations."""
+    require_compiler()
     agent, scenario = exported(name, vehicle), changed(as_scenario("cruise-storm"), vehicle)
     source = f"#define AUV_AGENT_IMPLEMENTATION\n{c_header(agent, 'float64')}"
     library = native.library(source)
     library.auv_agent_observe.restype = None
     env = UnderactuatedAUVTrackEnv(scenario, preview=agent.preview)
-    ahead, rng = env._lanes.preview, np.random.default_rng(2)
+    ahead, rng = env._sub_envs.preview, np.random.default_rng(2)
     observation, _ = env.reset(seed=4)
     assert np.abs(observation[SIZE:]).max(initial=0) > 64 or vehicle == "paper"
     last, seen = np.zeros(2), np.zeros(len(agent.columns))
@@ -302,7 +304,7 @@ def test_measurements_in_si_units_are_observed_as_the_environment_does(name, veh
         observation, *_ = env.step(last)
 
 
-def test_the_model_says_what_it_is():
+def test_description_of_the_model():
     agent = exported("apg-preview-cruise")
     model = onnx_model(agent, "float32")
     facts = {p.key: p.value for p in model.metadata_props}
@@ -330,8 +332,8 @@ def test_integers_are_within_half_a_step_of_the_weights():
 
 @pytest.mark.parametrize("name", ["apg-preview-slow", "sac-slow"])
 def test_an_emulated_cortex_m4_gives_the_same_commands(name):
-    compiled()
-    needed(*emulator.PROGRAMS)
+    require_compiler()
+    require(*emulator.PROGRAMS)
     agent = exported(name)
     policy, memory = HeaderPolicy(agent), None
     observations, memories, expected = [], [], []
@@ -356,7 +358,7 @@ def test_the_command_writes_both_files(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["ekf"], "'ekf' is no agent; there are apg-adverse-cruise"),
         (["apg-cruise:fade"], "leave out :fade"),
@@ -364,13 +366,13 @@ def test_the_command_writes_both_files(tmp_path, capsys):
         (["apg-cruise", "--format", "pdf"], "invalid choice"),
     ],
 )
-def test_mistakes_are_answered_in_a_line(tmp_path, words, said):
-    with pytest.raises(UsageError, match=re.escape(said)):
+def test_wrong_arguments_raise_usage_errors(tmp_path, words, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
         command.main([*words, "--out", str(tmp_path)])
     assert not list(tmp_path.iterdir())
 
 
-def test_a_missing_library_is_named(tmp_path, monkeypatch):
+def test_message_names_a_missing_library(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "onnx", None)
     with pytest.raises(UsageError, match=r"pip install .*\[export\]'"):
         command.main(["sac-slow", "--out", str(tmp_path)])
@@ -388,9 +390,8 @@ def test_agents_that_are_not_measured_keep_their_entries(tmp_path, monkeypatch):
     assert [entry["name"] for entry in found["agents"]] == shipped_agents()
     changed = [new["name"] for new, old in zip(found["agents"], kept["agents"], strict=True) if new != old]
     assert changed == ["helm"]
-    assert (
-        measure.main(["helm", "--episodes", "2", "--out", str(out)]) == 0
-    )  # of another number of episodes: all begins anew
+    # With another number of episodes the old entries are dropped.
+    assert measure.main(["helm", "--episodes", "2", "--out", str(out)]) == 0
     assert [entry["name"] for entry in json.loads(out.read_text())["agents"]] == ["helm"]
 
 

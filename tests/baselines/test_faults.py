@@ -1,4 +1,4 @@
-"""The filter in seas, with outages and with faults: what it believes against what is true; what policies gain by it."""
+"""The filter in waves, with outages and with faults: estimates against true values, and errors of its policies."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ from auv_gym.planning.paths import Circle
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Start
-from baselines.control.nmpc.controller import PREVIEW, later
-from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting_forces, arrived
+from baselines.control.nmpc.controller import PREVIEW, delayed_targets
+from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting_forces, after_delay
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import ODDS
 from baselines.estimation.sea_model import STATE_SIZE, Estimate
@@ -26,20 +26,20 @@ ACTIONS = [(0.1, -0.1), (0.2, -0.3), (0.4, 0.5), (0.8, 0.7)]
 
 
 @pytest.mark.parametrize("delay", range(LONGEST_DELAY + 1))
-def test_a_whole_delay_acts_with_that_action_and_a_share_of_it(delay):
+def test_with_a_whole_delay_one_action_acts(delay):
     faults = NO_FAULTS._replace(surge_share=0.5, yaw_share=0.8, delay=float(delay))
     a_u, a_r = ACTIONS[delay]
     assert acting_forces(faults, ACTIONS, (400.0, 200.0), ARRAYS) == pytest.approx((0.5 * 400 * a_u, 0.8 * 200 * a_r))
 
 
-def test_half_a_period_is_half_of_both_neighbours():
+def test_with_half_a_period_the_mean_of_two_actions_acts():
     F_u, _ = acting_forces(NO_FAULTS._replace(delay=1.5), ACTIONS, (400.0, 200.0), ARRAYS)
     assert F_u == pytest.approx(400 * 0.5 * (0.2 + 0.4))
 
 
 @pytest.mark.parametrize("delay", range(LONGEST_DELAY + 1))
-def test_the_state_in_which_a_command_begins_to_act_is_the_simulators(delay):
-    """Vehicles whose last commands are on their way, and which get none any more."""
+def test_the_state_after_the_delay_is_that_of_the_simulation(delay):
+    """Three commands that do not act yet, then zero commands."""
     weak = Actuators(lag=0.3, effectiveness=0.7, delay=delay)
     scenario = replace(PRESETS["cruise-calm"], path=Circle(1.0, 0.1), actuators=weak, start=Start(), steps=50)
     env = UnderactuatedAUVTrackVectorEnv(1, scenario)
@@ -53,59 +53,58 @@ def test_the_state_in_which_a_command_begins_to_act_is_the_simulators(delay):
     )  # fmt: skip
     faults = Faults(0.0, 0.0, 0.0, 0.0, 0.7, 0.7, float(delay))
     limits, c = (weak.F_u_max, weak.F_r_max), PAPER_VEHICLE.coefficients
-    found = arrived(z, faults, ACTIONS[:3], limits, 0.1, c, ARRAYS)
+    found = after_delay(z, faults, ACTIONS[:3], limits, 0.1, c, ARRAYS)
     for _ in range(delay):
         env.step(np.zeros((1, 2)))
     x, y, psi, u, v, r = env.state[0]
     expected = (x - reference[0], y - reference[1], psi, u, v, r)
-    assert found[:6] == pytest.approx(expected, abs=5e-3)  # a thousandth of a period counts as none
+    assert found[:6] == pytest.approx(expected, abs=5e-3)  # without delay a thousandth of a period is integrated
     assert found[6:8] == pytest.approx(env.force[0], abs=0.05)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 3.0])
-def test_places_behind_the_stages_ends_are_those_of_the_path(delay):
+def test_delayed_targets_are_on_the_path(delay):
     dt, speed, turn_rate = 0.1, 1.0, 0.12
 
-    def place(periods):
+    def position(periods):
         angle = turn_rate * dt * np.asarray(periods, dtype=float)
         return speed / turn_rate * np.array((np.sin(angle), 1 - np.cos(angle)))
 
-    aim = place(PREVIEW).T[:, :, None]
-    wanted = place(np.array(PREVIEW) + delay).T
-    np.testing.assert_allclose(later(aim, np.array([delay]))[:, :, 0], wanted, atol=2e-3)
+    target = position(PREVIEW).T[:, :, None]
+    expected = position(np.array(PREVIEW) + delay).T
+    np.testing.assert_allclose(delayed_targets(target, np.array([delay]))[:, :, 0], expected, atol=2e-3)
 
 
-def filtered(name, scenario, lanes, steps):
-    """Return the last memory of a policy, what its filter returned, the environment, and its errors [m]."""
+def filtered(name, scenario, n, steps):
+    """Return the last memory of a policy and the last result of its filter, for n vehicles."""
     policy = baselines.make_policy(name)
-    env = UnderactuatedAUVTrackVectorEnv(lanes, scenario, preview=policy.preview)
+    env = UnderactuatedAUVTrackVectorEnv(n, scenario, preview=policy.preview)
     observation, _ = env.reset(seed=0)
-    half = policy.controller.slow if scenario.name.startswith("slow") else policy.controller.cruise
-    update, seen, memory, errors = half.filter.update, [], None, []
+    controller = policy.controller.slow if scenario.name.startswith("slow") else policy.controller.cruise
+    update, result, memory = controller.filter.update, [], None
 
-    def watched(memory, o):
+    def recorded(memory, o):
         after, z = update(memory, o)
-        seen[:] = [z]
+        result[:] = [z]
         return after, z
 
-    half.filter.update = watched
+    controller.filter.update = recorded
     for _ in range(steps):
         action, memory = policy.predict(observation, memory)
-        observation, *_, info = env.step(action)
-        errors.append(info["position_error"])
-    return memory, seen[0], env, np.array(errors)
+        observation, *_ = env.step(action)
+    return memory, result[0]
 
 
 @pytest.mark.parametrize("speed_range", ["slow", "cruise"])
-def test_the_filter_tells_a_calm_sea_from_a_rough_one(speed_range):
+def test_the_filter_distinguishes_calm_from_rough_water(speed_range):
     for case, calm in (("noise", True), ("storm", False)):
-        memory, *_ = filtered("ekf", PRESETS[f"{speed_range}-{case}"], 8, 300)
+        memory, _ = filtered("ekf", PRESETS[f"{speed_range}-{case}"], 8, 300)
         rough_fit, calm_fit = (Belief.of(rows.T).fit[0] for rows in memory[:2])
         assert ((calm_fit > rough_fit + ODDS) == calm).all()
 
 
-def test_the_filter_finds_biases_losses_and_delays():
-    """Storms, in which nothing is told of them: the heading's bias to a degree, the delay to a part of a period."""
+def test_the_filter_estimates_biases_losses_and_delays():
+    """In storms, heading bias to one degree, delay to a fraction of a period."""
     world = adverse("cruise")
     steady = replace(
         world.sensors,
@@ -115,7 +114,7 @@ def test_the_filter_finds_biases_losses_and_delays():
         outages=0.0,
     )
     weak = replace(world.actuators, effectiveness=0.7, reach=1.0, delay=2.0)
-    _, z, _, _ = filtered("ekf-adverse", replace(world, sensors=steady, actuators=weak), 16, 550)
+    _, z = filtered("ekf-adverse", replace(world, sensors=steady, actuators=weak), 16, 550)
     faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
     assert faults.heading.mean() == pytest.approx(0.05, abs=0.015)
     assert faults.surge.mean() == pytest.approx(-0.05, abs=0.01)
@@ -125,8 +124,8 @@ def test_the_filter_finds_biases_losses_and_delays():
     assert 0.5 < faults.yaw_share.mean() < 0.85
 
 
-def test_a_position_without_a_new_fix_is_not_believed():
-    """The fix fails for five seconds: the filter goes on by velocities, the measured position stands still."""
+def test_a_position_without_a_new_fix_is_not_used():
+    """Without fixes for five seconds the measured position is constant; the filter integrates the velocities."""
     noisy = PRESETS["cruise-noise"]
     scenario = replace(noisy, sensors=replace(noisy.sensors, outages=0.01))
     episodes = [replace(e, outages=((20.0, 25.0),)) for e in drawn(scenario, 8, 0).episodes]
@@ -144,7 +143,7 @@ def test_a_position_without_a_new_fix_is_not_believed():
     assert np.hypot(*(rough.state[:2].T - true).T).max() < 0.3
 
 
-def test_a_start_far_off_at_any_heading_is_survived():
+def test_a_distant_start_with_any_heading_converges():
     anywhere = Start(x_e=(-5.0, 5.0), y_e=(-5.0, 5.0), psi_e=(-3.1, 3.1), surge=(0.3, 1.0))
     for case in ("calm", "storm"):
         scenario = replace(PRESETS[f"slow-{case}"], start=anywhere)
@@ -152,7 +151,8 @@ def test_a_start_far_off_at_any_heading_is_survived():
         assert run.measures.steady_rmse.max() < 0.2
 
 
-def test_faults_that_are_believed_in_cost_less():
+@pytest.mark.slow
+def test_estimated_faults_lower_the_error():
     world = adverse("slow")
     late = replace(world, actuators=replace(world.actuators, delay=3.0, reach=1.0))
     episodes = drawn(late, 6, 0).episodes

@@ -71,7 +71,7 @@ def test_integral_of_a_constant_error(name, rate, scale):
     assert got[name.replace("x", "y")] == 0.0
 
 
-def test_integrals_stay_where_they_are_in_the_world():
+def test_integrals_do_not_rotate_with_the_vehicle():
     _, sums = features(observation())
     ahead, _ = features(observation(e_x=0.0), sums)
     aside, _ = features(observation(e_x=0.0, cos_psi=0.0, sin_psi=1.0), sums)  # heading along the world's y
@@ -87,7 +87,7 @@ def test_same_motion_at_another_speed_has_the_same_features():
     assert {n: slow[n] for n in same} == pytest.approx({n: fast[n] for n in same})
 
 
-def test_preview_shows_how_the_reference_bends_and_hurries():
+def test_preview_features_on_a_circle():
     """On a circle the way ahead is a chord: along it by the cosine, and aside by the sine, of half the turn."""
     inputs, speed, rate = Inputs((2, 10)), 2.0, 0.3
     turn = rate * 0.1 * np.array(inputs.preview)
@@ -100,7 +100,7 @@ def test_preview_shows_how_the_reference_bends_and_hurries():
     assert len(rows) == len(inputs.features) == len(FEATURES) + 4
 
 
-def test_without_integrals_nothing_else_is_missing():
+def test_without_integrals_only_their_features_are_missing():
     names = [f.name for f in Inputs(integrals=False).features]
     assert names == [f.name for f in FEATURES if not f.name.startswith(("fast", "slow"))]
     sums = np.ones((INTEGRALS, 1))
@@ -114,6 +114,6 @@ def test_without_integrals_nothing_else_is_missing():
 
 
 @pytest.mark.parametrize("entries", [{"preview": (5, 3)}, {"preview": (0,)}, {"integrals": 1}])
-def test_wrong_inputs_are_refused(entries):
+def test_wrong_inputs_are_rejected(entries):
     with pytest.raises(ValueError, match=f"{next(iter(entries))} is"):
         Inputs(**entries)

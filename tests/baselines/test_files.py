@@ -1,4 +1,4 @@
-"""Files: whole or absent; and whatever stands in one, its reader raises nothing but ValueError, on one line."""
+"""Files: writes are atomic, and readers raise only ValueError with a message of one line."""
 
 import csv
 import io
@@ -22,7 +22,7 @@ from baselines.tools.files import (
     write_atomically,
 )
 
-TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]))  # JSON writes others as two, YAML as one
+TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]))  # others: two in JSON, one in YAML
 LEAF = st.none() | st.booleans() | st.integers() | st.floats() | TEXT
 FLAT = LEAF | st.lists(LEAF, max_size=4) | st.dictionaries(TEXT, LEAF, max_size=4)
 PLAIN = FLAT | st.lists(FLAT, max_size=4) | st.dictionaries(TEXT, FLAT, max_size=4)
@@ -41,7 +41,7 @@ AWKWARD = {
 
 
 def refusal(read, file):
-    """Return the message that a reader refuses a file with; None if it takes it."""
+    """Return the message with which a reader refuses a file; None if it reads it."""
     try:
         read(file)
     except ValueError as error:
@@ -65,7 +65,7 @@ def test_readers_raise_one_line_that_names_the_file(awkward, tmp_path):
 
 @settings(deadline=None)
 @given(st.binary())
-def test_no_bytes_make_a_reader_raise_anything_else(tmp_path_factory, data):
+def test_readers_of_random_bytes_raise_only_value_errors(tmp_path_factory, data):
     file = tmp_path_factory.getbasetemp() / "bytes"
     file.write_bytes(data)
     for read in READERS:
@@ -73,21 +73,21 @@ def test_no_bytes_make_a_reader_raise_anything_else(tmp_path_factory, data):
 
 
 @given(PLAIN)
-def test_plain_values_go_through_json_and_yaml(value):
+def test_plain_values_are_restored_from_json_and_yaml(value):
     text = json.dumps(value)
     assert repr(checked_plain(json.loads(text))) == repr(json.loads(text))
     if "NaN" not in text and "Infinity" not in text and "e" not in text:  # YAML spells these in another way
         assert json.dumps(parse_yaml(text)) == text
 
 
-def test_aliases_that_explode_are_refused_and_others_are_not():
+def test_yaml_aliases_are_refused_only_if_their_expansion_is_large():
     lines = ["a0: &a0 [1, 2]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
-    with pytest.raises(ValueError, match="aliases make it larger"):
+    with pytest.raises(ValueError, match="entries with its aliases expanded"):
         parse_yaml("\n".join(lines))
     merged = ["a0: &a0 {x: 1}"] + [f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}" for i in range(1, 30)]
-    with pytest.raises(ValueError, match="aliases make it larger"):
+    with pytest.raises(ValueError, match="entries with its aliases expanded"):
         parse_yaml("\n".join(merged))
-    with pytest.raises(ValueError, match="aliases make it larger"):
+    with pytest.raises(ValueError, match="entries with its aliases expanded"):
         parse_yaml("a: &a [*a]")
     assert parse_yaml("a: &a {x: 1, y: 2}\nb: {<<: *a, y: 3}")["b"] == {"x": 1, "y": 3}
 
@@ -95,7 +95,7 @@ def test_aliases_that_explode_are_refused_and_others_are_not():
 @pytest.mark.parametrize(
     "text", ["a: 2020-01-01", "? [1, 2]\n: 3", "!!set {a}", "!!binary aGFsbG8=", "!!python/name:os.system"]
 )
-def test_yaml_is_plain_values_alone(text):
+def test_yaml_allows_only_plain_values(text):
     with pytest.raises(ValueError, match=r"^YAML: "):
         parse_yaml(text)
 
@@ -114,7 +114,7 @@ def test_only_regular_files_of_a_bounded_size_are_read(tmp_path):
 
 
 @given(st.lists(st.fixed_dictionaries({"a": st.text("xyz,\"'\n", min_size=1), "b": st.text("xyz ")}), max_size=5))
-def test_tables_come_back_without_their_empty_entries(tmp_path_factory, rows):
+def test_tables_are_restored_without_empty_entries(tmp_path_factory, rows):
     buffer = io.StringIO(newline="")
     writer = csv.DictWriter(buffer, ["a", "b"])
     writer.writeheader()
@@ -124,7 +124,7 @@ def test_tables_come_back_without_their_empty_entries(tmp_path_factory, rows):
     assert read_csv(file) == [{k: v for k, v in row.items() if v} for row in rows]
 
 
-def test_guard_lets_what_is_no_damage_pass():
+def test_guarded_converts_only_exceptions_of_damaged_files():
     for kind in (OSError, KeyboardInterrupt, SystemExit):
         with pytest.raises(kind), guarded("x"):
             raise kind("y")
@@ -132,7 +132,7 @@ def test_guard_lets_what_is_no_damage_pass():
         raise AssertionError("y")
 
 
-def test_a_file_is_the_old_one_or_the_new_one(tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     file, synced = tmp_path / "file", []
     monkeypatch.setattr(os, "fsync", synced.append)
     write_atomically(file, "old")

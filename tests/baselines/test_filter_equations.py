@@ -1,4 +1,4 @@
-"""The filter's equations: derivatives against complex steps, differences and CasADi; covariances against matrices."""
+"""Equations of the filter: derivatives against complex steps and CasADi, covariances against matrix algebra."""
 
 from types import SimpleNamespace
 
@@ -13,14 +13,14 @@ from auv_gym.physics.actuators import Response
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.task.observation import Observation
-from baselines.estimation.filter_equations import foreseen, measured_update
+from baselines.estimation.filter_equations import measured_update, predicted
 from baselines.estimation.sea_model import STATE_SIZE, Estimate, lag_response, measurement, transition, wave_transition
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
 
 
 def random_state(rng, n):
-    """Return states of ordinary size, in the order of `Estimate`."""
+    """Return states of typical magnitude, in the order of `Estimate`."""
     size = np.array([1, 1, 3, 1, 0.3, 0.3, 90, 40, 0.3, 0.3, 0.02, 0.02, 20, 20, 8, 0, 20, 20, 20, 20, 8, 8])
     z = rng.standard_normal((STATE_SIZE, n)) * size[:, None]
     z[15] = rng.uniform(0.05, 0.8, n)
@@ -46,14 +46,14 @@ def full(rows):
 
 
 def observed(rng, n):
-    """Return terms of an observation that the model's transition depends on, shape (18, n)."""
+    """Return observations with random values of the terms that `transition` depends on, shape (18, n)."""
     values = dict.fromkeys(Observation._fields, np.zeros(n))
     values |= {"a_u": rng.uniform(-0.5, 0.5, n), "a_r": rng.uniform(-0.5, 0.5, n), "dt": np.linspace(0.05, 0.3, n)}
     return np.array(Observation(**values | {"F_u_max": np.full(n, 400.0), "F_r_max": np.full(n, 200.0)}))
 
 
 def kernel_jacobians(z, o, vehicle):
-    """Return what the graph has for the derivatives of `transition` and of `measurement`, (n, ..., SIZE)."""
+    """Return the symbolic Jacobians of `transition` and of `measurement`, (n, ..., SIZE)."""
 
     def equation(z, o):
         z, o = Estimate(*z), Observation(*o)
@@ -105,12 +105,12 @@ def test_jacobian_is_that_of_casadi():
         np.testing.assert_allclose(F[i], np.array(slopes(z[:, i], o[:, i])), rtol=1e-10, atol=1e-12)
 
 
-def test_covariance_is_foreseen_by_the_jacobian():
+def test_covariance_is_propagated_by_the_jacobian():
     rng = np.random.default_rng(3)
     z, o, P = random_state(rng, 3), observed(rng, 3), random_covariance(rng, 3)
 
     def equation(z, o, P):
-        z, P = foreseen(z, symmetric(P), [], (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
+        z, P = predicted(z, symmetric(P), [], (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
         return {"z": z, "P": triangle(P)}
 
     rows = {"z": STATE_SIZE, "o": len(o), "P": len(TRIANGLE[0])}
@@ -120,7 +120,7 @@ def test_covariance_is_foreseen_by_the_jacobian():
     np.testing.assert_allclose(after["z"], moved(z, o, DRAGGY), rtol=1e-12, atol=1e-12)
 
 
-def test_measurements_one_by_one_are_all_at_once():
+def test_sequential_updates_equal_the_joint_update():
     rng = np.random.default_rng(4)
     z, P = random_state(rng, 3), random_covariance(rng, 3)
     innovation, noise = rng.normal(0, 0.1, (6, 3)), rng.uniform(1e-4, 1e-1, (6, 3))
@@ -140,7 +140,7 @@ def test_measurements_one_by_one_are_all_at_once():
     np.testing.assert_allclose(full(after["P"]), P - gain @ H @ P, rtol=1e-6, atol=1e-8)
 
 
-def test_rows_of_lags_respond_as_one():
+def test_response_of_rows_is_that_of_each_lag():
     lags, dt = np.array([1e-3, 0.1, 0.6]), np.array([0.1, 0.1, 0.2])
     rows = lag_response(lags, dt, ARRAYS)
     for i in range(3):

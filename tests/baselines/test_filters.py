@@ -14,7 +14,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.agents import filters
-from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, REMEMBERED, ROWS, SHARED
+from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, MEMORY_ENTRIES, ROWS, SHARED
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import error_dynamics
 from baselines.estimation.sea_model import PLACE, STATE_SIZE
@@ -47,7 +47,7 @@ def test_the_table_is_what_its_command_writes():
 
 @pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("speed", [0.2, 1.0])
-def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
+def test_gains_are_those_of_the_steady_covariance(kind, speed):
     """Prediction and update of a covariance, Joseph's form, until nothing changes any more."""
     tuning, lag = KINDS[kind]
     A, H, Q, R = filter_gains.problem(speed, lag, tuning)
@@ -61,7 +61,7 @@ def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
     np.testing.assert_allclose(found, K, rtol=1e-3, atol=1e-5 * np.abs(K).max())
 
 
-def test_the_model_of_the_hull_is_that_of_the_linearised_equations():
+def test_the_vehicle_model_is_that_of_the_linearised_equations():
     A, H, dt = filter_gains.model(1.0, 0.24)
     errors, _ = error_dynamics(PAPER_VEHICLE, 1.0, 0.0, 0.0)
     np.testing.assert_allclose(A[:6, :6], expm(errors * dt), atol=2e-6)
@@ -91,7 +91,7 @@ def spread(A, H, Q, R, K):
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_the_gains_serve_other_hulls_whose_own_model_predicts(name):
+def test_errors_of_the_gains_for_other_vehicles(name):
     """Errors of position, heading and velocity beside those of a filter with gains of the hull's own."""
     hull = vehicle_model(name).in_paper_units
     worst = np.zeros(6)
@@ -120,7 +120,7 @@ def straight(speed, heading, errors=(0.0,) * 6, action=(0.0, 0.0)):
 
 def seen(memory, kind, name):
     """Return an entry of a filter's estimate from the memory."""
-    return float(memory[SHARED + kind * len(REMEMBERED) + REMEMBERED.index(name)][0])
+    return float(memory[SHARED + kind * len(MEMORY_ENTRIES) + MEMORY_ENTRIES.index(name)][0])
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])
@@ -135,47 +135,47 @@ def test_small_deviations_follow_the_linear_filter(heading):
     for k in range(40):
         y = 1e-4 * rng.standard_normal(6)
         o = straight(speed, heading, y, (held, 0.0))
-        _, memory = filters.filtered(o, speed, memory, ARRAYS)
+        _, memory = filters.filter_step(o, speed, memory, ARRAYS)
         if k == 0:
             z[:6] = y
             memory = list(memory)
-            memory[SHARED + REMEMBERED.index("F_u")] = np.array(
+            memory[SHARED + MEMORY_ENTRIES.index("F_u")] = np.array(
                 [F_u]
             )  # not from rest, which would be no small deviation
         else:
             ahead = A @ z
             z = ahead + K @ (y - H @ ahead)
     c, s = np.cos(heading), np.sin(heading)
-    found = {name: seen(memory, 0, name) for name in REMEMBERED}
+    found = {name: seen(memory, 0, name) for name in MEMORY_ENTRIES}
     for a, b in filters.VECTORS:
         found[a], found[b] = c * found[a] + s * found[b], c * found[b] - s * found[a]
     found |= {"psi": found["psi"] - heading, "u": found["u"] - speed, "F_u": found["F_u"] - F_u}
-    for name in REMEMBERED:
+    for name in MEMORY_ENTRIES:
         assert found[name] == pytest.approx(z[getattr(PLACE, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
 
 
-def test_a_position_that_is_held_moves_nothing():
+def test_a_position_without_a_new_fix_is_ignored():
     speed, dt = 1.0, 0.1
     memory = [np.zeros(1)] * ROWS
     held = []
     for k in range(6):
         stale = -dt * speed if k == 4 else 0.0  # the fix of the period before: the reference has moved on
-        believed, memory = filters.filtered(straight(speed, 0.0, (stale, 0, 0, 0, 0, 0)), speed, memory, ARRAYS)
-        held.append(bool(believed.held[0]))
+        output, memory = filters.filter_step(straight(speed, 0.0, (stale, 0, 0, 0, 0, 0)), speed, memory, ARRAYS)
+        held.append(bool(output.held[0]))
     assert held == [False, False, False, False, True, False]
 
 
-def test_in_noise_the_calm_filter_knows_more_than_is_measured():
+def test_estimates_are_more_accurate_than_noisy_measurements():
     """What it is for: the expert steers through noise alone, and the filters say where the vehicle is."""
     scenario, errors = PRESETS["slow-noise"], []
     env, law, memory = make_env(scenario), Backstepping(), [np.zeros(1)] * ROWS
     observation, _ = env.reset(seed=3)
     for _ in range(300):
         o = decode_observation(observation[None])
-        believed, memory = filters.filtered(o, np.hypot(o.u_R, o.v_R), memory, ARRAYS)
+        output, memory = filters.filter_step(o, np.hypot(o.u_R, o.v_R), memory, ARRAYS)
         true = env.unwrapped.state[:2] - np.array((env.unwrapped.reference.x, env.unwrapped.reference.y))
         measured = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
-        places = [measured, *((z.x_e, z.y_e) for z in believed.estimates)]
+        places = [measured, *((z.x_e, z.y_e) for z in output.estimates)]
         errors.append([np.hypot(*(np.ravel(p) - true)) for p in places])
         observation, *_ = env.step(law.predict(observation)[0])
     seen, rough, calm = np.sqrt(np.square(errors[120:]).mean(axis=0))

@@ -41,16 +41,16 @@ def weights():
     return weights_of(net)
 
 
-def test_groups_share_all_vehicles_and_what_they_count_for():
+def test_groups_have_all_vehicles_and_their_shares():
     config, settings = grouped()
     groups = divided(config, settings)
     assert [len(group.scenarios) for group in groups] == [8, 6, 6]
-    lanes = config.lanes(settings.n_envs)
+    scenarios = config.env_scenarios(settings.n_envs)
     names = [scenario.name for group in groups for scenario in group.scenarios]
-    assert sorted(names) == sorted(scenario.name for scenario in lanes)
+    assert sorted(names) == sorted(scenario.name for scenario in scenarios)
     seeds = [group.seed + i for group in groups for i in range(len(group.scenarios))]
     assert seeds == list(range(config.episode_seed, config.episode_seed + 20))
-    whole = settings.objective([scenario.name for scenario in lanes])
+    whole = settings.objective([scenario.name for scenario in scenarios])
     shares = np.concatenate([group.objective.shares for group in groups])
     assert sorted(shares) == sorted(whole.shares)
     for group in groups:
@@ -60,14 +60,14 @@ def test_groups_share_all_vehicles_and_what_they_count_for():
         assert even.sum() == pytest.approx(group.objective.shares.sum())
 
 
-def test_half_of_each_group_has_drawn_hulls(monkeypatch):
+def test_half_of_each_group_has_drawn_models(monkeypatch):
     monkeypatch.setattr(vehicle_models, "SEVERAL", 2)
     for group in divided(*grouped(n_envs=8, groups=2, hull=True, hulls=0.5)):
         assert sorted(len(own) for own in group.variants) == [1, 1, 2, 2]
 
 
 @pytest.mark.slow
-def test_what_is_learned_depends_on_no_number_of_processes(weights):
+def test_gradients_do_not_depend_on_the_number_of_processes(weights):
     """Not in the last bit; nor on when a checkpoint is taken, and by how many processes it was left."""
     config, settings = grouped()
     found = []
@@ -115,7 +115,7 @@ class Counter:
         os._exit(3)
 
 
-def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
+def test_methods_in_another_process_are_called_in_order():
     with closing(Elsewhere(Counter, 3)) as there:
         answers = [there.call("add", more) for more in (4, 5)]
         (first, process), (second, same) = (answer() for answer in answers)
@@ -125,14 +125,14 @@ def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
             there.call("add", "x")()
         answer = there.call("end")
         for failed in (answer, lambda: there.call("add", 1)):
-            with pytest.raises(WorkerError, match="a worker process was lost"):
+            with pytest.raises(WorkerError, match="a worker process ended unexpectedly"):
                 failed()
 
 
-def test_what_making_it_raises_its_first_call_does():
+def test_an_error_of_the_constructor_is_raised_by_the_first_call():
     with closing(Elsewhere(Counter, -1)) as there, pytest.raises(ValueError, match="none can be there"):
         there.call("add", 1)()
 
 
-def test_trainings_side_by_side_share_the_processes():
+def test_parallel_trainings_share_the_processes():
     assert [Workers(5).each_of(tasks) for tasks in (1, 2, 5, 9)] == [5, 2, 1, 1]

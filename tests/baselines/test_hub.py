@@ -45,7 +45,7 @@ def remote(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_an_agent_comes_back_as_it_was(remote):
+def test_a_pulled_agent_equals_the_pushed_one(remote):
     assert hub.push("ppo-slow", "ada/slow") == "https://hub/ada/slow/commit/1"
     card = (remote / "ada" / "slow" / "README.md").read_text(encoding="utf-8")
     assert card.startswith("---\nlibrary_name: auv_gym\n")
@@ -58,8 +58,8 @@ def test_an_agent_comes_back_as_it_was(remote):
     np.testing.assert_array_equal(own.measures.steady_rmse, again.measures.steady_rmse)
 
 
-def test_what_is_no_agent_is_refused(remote):
-    with pytest.raises(ValueError, match="'backstepping' is no agent"):
+def test_other_folders_are_rejected(remote):
+    with pytest.raises(ValueError, match="'backstepping' is not an agent"):
         hub.push("backstepping", "ada/law")
     hub.push("ppo-slow", "ada/slow")
     (remote / "ada" / "slow" / "weights.safetensors").write_bytes(b"other")
@@ -67,7 +67,7 @@ def test_what_is_no_agent_is_refused(remote):
         hub.load("ada/slow")
 
 
-def test_without_the_library_it_says_what_to_install(monkeypatch):
+def test_the_message_without_the_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(ModuleNotFoundError, match=r"needs huggingface_hub: pip install .*\[hub\]"):
+    with pytest.raises(ModuleNotFoundError, match=r"requires huggingface_hub: pip install .*\[hub\]"):
         hub.load("ada/slow")

@@ -26,7 +26,7 @@ def driven(policy, kept, scenario="cruise-storm", steps=4, **first):
 
 
 @pytest.mark.parametrize("name", REMEMBERING)
-def test_dropped_memory_is_said(name):
+def test_dropped_memory_is_a_warning(name):
     policy = make_policy(name)
     assert driven(policy, kept=True) == []
     messages = driven(policy, kept=False)
@@ -41,22 +41,22 @@ def test_a_policy_without_memory_has_nothing_to_drop():
         assert memory is not None or driven(policy, kept=False) == []
 
 
-def test_episode_start_says_where_memory_begins_anew():
+def test_episode_start_resets_the_memory():
     assert driven(make_policy("integral"), kept=False, episode_start=np.array([True])) == []
     assert driven(make_policy("apg-cruise"), kept=False, episode_start=np.array([True])) == []
 
 
-def test_an_agent_in_the_other_speed_range_says_so_once():
+def test_an_agent_in_the_other_speed_range_warns_once():
     for name, scenario in (("apg-slow", "cruise-calm"), ("apg-cruise", "paper-circle")):
         policy = make_policy(name)
         messages = driven(policy, kept=True, scenario=scenario)
         assert len(messages) == 1
-        assert "choose the agent of that regime" in messages[0]
+        assert "choose the agent for that speed range" in messages[0]
         assert driven(policy, kept=True, scenario=scenario) == []
 
 
 @pytest.mark.parametrize("speed_range", ["slow", "cruise"])
-def test_no_episode_of_its_own_speed_range_is_strange_to_an_agent(speed_range):
+def test_no_warnings_in_the_speed_range_of_an_agent(speed_range):
     policy, n = make_policy(f"apg-{speed_range}"), 200
     env = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0", n, vectorization_mode="vector_entry_point", scenario=f"{speed_range}-calm"

@@ -1,4 +1,4 @@
-"""Metrics and score by hand."""
+"""Metrics and score, compared with values computed by hand and with SciPy."""
 
 import io
 import math
@@ -16,7 +16,7 @@ from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, count_failures, error_cap, has_failed, score
+from baselines.evaluation.score import capped, count_failures, difference, error_cap, has_failed, score
 
 
 def test_metrics_by_hand():
@@ -75,7 +75,7 @@ def run_of(scenario, policy, m):
     return Run(policy, Scenario(name=scenario), "hash", m, decision_seconds=1e-3)
 
 
-def test_the_capped_score_forgives_lost_episodes():
+def test_the_capped_score_limits_the_effect_of_failed_episodes():
     runs = [
         run_of("slow-calm", "backstepping", measures([0.5, 0.5])),
         run_of("slow-calm", "p", measures([0.1, 9.0])),
@@ -94,14 +94,14 @@ def test_the_capped_score_forgives_lost_episodes():
 @pytest.mark.parametrize(
     ("failed", "episodes", "most"), [(0, 2080, 0.00144), (0, 2, 0.776), (3, 100, 0.0757), (4, 4, 1)]
 )
-def test_the_bound_on_what_is_lost(failed, episodes, most):
-    """The share at which so few are lost in one of twenty samples: of none 1 - .05^(1/n), about 3/n."""
+def test_upper_confidence_bound_of_the_failure_rate(failed, episodes, most):
+    """For no failure in n episodes the bound is 1 - 0.05^(1/n), about 3/n."""
     assert metrics.failure_bound(failed, episodes) == pytest.approx(most, rel=5e-3)
     if failed == 0:
         assert metrics.failure_bound(0, episodes) == pytest.approx(1 - 0.05 ** (1 / episodes))
 
 
-def test_one_rule_of_what_is_lost():
+def test_failed_episodes():
     m = measures([0.1, 2.0, 0.1, math.nan], [False, False, True, False])
     assert has_failed(m, 2.0).tolist() == [False, True, True, True]
     assert (count_failures(m, 2.0), count_failures(measures([0.1, 9.0], [True, False]), math.inf)) == (3, 1)
@@ -111,7 +111,7 @@ def test_one_rule_of_what_is_lost():
     assert list(caps.values()) == [0.6, 2.0, 5.0, math.inf]
 
 
-def test_the_best_comes_first_and_what_failed_last():
+def test_ranking_has_the_best_first_and_failed_runs_last():
     runs = [run_of("slow-calm", p, measures([e, e])) for p, e in (("backstepping", 0.5), ("p", 0.1), ("oracle", 0.0))]
     runs += [Run("broken", Scenario(name="slow-calm"), "hash", error="no")]
     entries = [result.entry for result in compare(runs)]
@@ -120,7 +120,7 @@ def test_the_best_comes_first_and_what_failed_last():
 
 
 def test_a_new_column_is_one_entry(monkeypatch):
-    """What stands in `COLUMNS` is in tables, results.json, results.csv and the definitions."""
+    """A column of `COLUMNS` is in tables, results.json, results.csv and the definitions."""
     (entry,) = pool([run_of("slow-calm", "backstepping", measures([0.25, 0.5]))])
     worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.steady_rmse_m.p95, digits(2))
     for name in ("COLUMNS", "_SHOWN"):
@@ -141,7 +141,7 @@ def console_text(entries):
 
 
 def test_score_intervals_are_paired():
-    """What all three share from episode to episode does not widen the interval."""
+    """A factor per episode that all three policies share does not widen the interval."""
     rng = np.random.default_rng(0)
     hard = rng.lognormal(0.0, 1.0, 300)
     s = score([hard], [0.3 * hard], [0.0 * hard])
@@ -175,3 +175,19 @@ def test_bootstrap_interval():
     assert low < np.mean(values) < high
     assert metrics.bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
     assert all(math.isnan(end) for end in metrics.bootstrap_interval([2.0]))
+
+
+def test_difference_to_the_best_equals_a_paired_bootstrap():
+    rng = np.random.default_rng(3)
+    best, own = rng.gamma(4, 0.01, 40), rng.gamma(4, 0.012, 40)
+    found = difference([best], [own])
+    assert found.mean == pytest.approx(own.mean() - best.mean())
+    other = stats.bootstrap((own - best,), np.mean, n_resamples=9999, method="percentile", rng=np.random.default_rng(4))
+    np.testing.assert_allclose(found.ci95, other.confidence_interval, atol=0.002)
+
+
+def test_each_policy_is_compared_with_the_best_one_without_full_information():
+    errors = {"clairvoyant": [0.1, 0.1], "lqi": [0.2, 0.4], "ekf": [0.5, 0.5]}
+    entries = pool([run_of("slow-calm", policy, measures(values)) for policy, values in errors.items()])
+    found = {entry.policy: entry.to_best and entry.to_best.mean for entry in entries}
+    assert found == {"clairvoyant": pytest.approx(-0.2), "lqi": None, "ekf": pytest.approx(0.2)}

@@ -1,4 +1,4 @@
-"""Model predictive control: optimal as CasADi and SciPy have it, within limits, finite whatever it sees."""
+"""Model predictive control: the optima of CasADi and SciPy, commands within limits, finite for every observation."""
 
 import casadi
 import numpy as np
@@ -14,17 +14,23 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.observation import SIZE
-from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
-from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, improved_plan, stage_jacobian
+from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, shift_matrix
+from baselines.control.nmpc.gauss_newton import (
+    after_step,
+    bounded_minimum,
+    gauss_newton_step,
+    optimised_plan,
+    stage_jacobian,
+)
 from baselines.control.nmpc.problem import (
     COMMAND_SIZE,
-    KNOWN,
+    STAGE_ROWS,
     STATE_ROWS,
     CostWeights,
     Horizon,
     OptimalControl,
     Stage,
-    stage,
+    next_state,
 )
 from baselines.gains.loading import load_gains
 
@@ -34,19 +40,19 @@ STAGES = 12
 
 
 def random_problem(rng, n, limits=(250.0, 100.0)):
-    """Return states near 1 m/s and what lies ahead of them, an arc in a current and in waves."""
-    hull = rng.normal((0, 0, 0, 1, 0, 0), (0.1, 0.1, 0.05, 0.1, 0.03, 0.03), (n, 6)).T
-    start = np.vstack((hull, rng.normal(0, (30.0, 10.0), (n, 2)).T))
+    """Return states near 1 m/s, and a horizon with a circular arc as the reference, in a current and in waves."""
+    motion = rng.normal((0, 0, 0, 1, 0, 0), (0.1, 0.1, 0.05, 0.1, 0.03, 0.03), (n, 6)).T
+    start = np.vstack((motion, rng.normal(0, (30.0, 10.0), (n, 2)).T))
     dt = np.tile(rng.uniform(0.15, 0.4, (STAGES, 1)), n)
     angle = rng.uniform(-0.1, 0.1, n) * dt.cumsum(axis=0)
-    aim = dt.cumsum(axis=0)[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    target = dt.cumsum(axis=0)[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
     lag = rng.uniform(0.05, 0.6, n)
     gain = 1 - np.exp(-dt / lag)
     current, load = rng.normal(0, 0.1, (2, n)), rng.normal(0, 5, (STAGES, 3, n))
     last = np.tile((np.arange(STAGES) == STAGES - 1.0)[:, None], n)
     rows = Stage(
         dt,
-        *aim.transpose(1, 0, 2),
+        *target.transpose(1, 0, 2),
         *(np.tile(V, (STAGES, 1)) for V in current),
         *load.transpose(1, 0, 2),
         gain,
@@ -61,67 +67,67 @@ def random_problem(rng, n, limits=(250.0, 100.0)):
 # The solver.
 
 
-def stage_slopes(vehicle, state, command, known):
-    """Return what the graph has for the derivatives of a stage, shape (N, STATES, STATES + COMMANDS)."""
+def stage_slopes(vehicle, state, command, stage):
+    """Return the symbolic Jacobian of `next_state`, shape (N, STATES, STATES + COMMANDS)."""
 
-    def equation(state, command, known):
-        rows = stage_jacobian(state, command, Stage(*known), vehicle.coefficients)
+    def equation(state, command, stage):
+        rows = stage_jacobian(state, command, Stage(*stage), vehicle.coefficients)
         return {"slopes": [x for row in rows for x in row]}
 
-    rows = {"state": STATE_ROWS, "command": COMMAND_SIZE, "known": KNOWN}
-    slopes = Kernel.traced(equation, rows, structural=True, blocked=True)(state=state, command=command, known=known)
+    rows = {"state": STATE_ROWS, "command": COMMAND_SIZE, "stage": STAGE_ROWS}
+    slopes = Kernel.traced(equation, rows, structural=True, blocked=True)(state=state, command=command, stage=stage)
     return slopes["slopes"].T.reshape(-1, STATE_ROWS, STATE_ROWS + COMMAND_SIZE)
 
 
 @pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
 def test_derivatives_are_those_of_casadi(vehicle):
     rng = np.random.default_rng(0)
-    start, ahead = random_problem(rng, 3)
-    commands, known = rng.normal(0, 40, (COMMAND_SIZE, 3)), ahead.known[3]
-    both, stages = casadi.SX.sym("both", STATE_ROWS + COMMAND_SIZE), casadi.SX.sym("stage", KNOWN)
+    start, horizon = random_problem(rng, 3)
+    commands, stage = rng.normal(0, 40, (COMMAND_SIZE, 3)), horizon.stages[3]
+    both, stages = casadi.SX.sym("both", STATE_ROWS + COMMAND_SIZE), casadi.SX.sym("stage", STAGE_ROWS)
     state, command = casadi.vertsplit(both)[:STATE_ROWS], casadi.vertsplit(both)[STATE_ROWS:]
-    after = casadi.vertcat(*stage(state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients, casadi))
+    after = casadi.vertcat(*next_state(state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients, casadi))
     slopes = casadi.Function("slopes", [both, stages], [casadi.jacobian(after, both)])
-    ours = stage_slopes(vehicle, start, commands, known)
+    ours = stage_slopes(vehicle, start, commands, stage)
     for i in range(3):
-        expected = slopes(np.append(start[:, i], commands[:, i]), known[:, i])
+        expected = slopes(np.append(start[:, i], commands[:, i]), stage[:, i])
         np.testing.assert_allclose(ours[i], np.array(expected), rtol=1e-10, atol=1e-12)
 
 
-def test_descent_is_that_of_a_quadratic_program():
-    """Where no limit is met, step and promise are the least squares of the linearised stages."""
+def test_gauss_newton_step_is_that_of_a_quadratic_program():
+    """Without active limits, step and predicted decrease are those of linear least squares."""
     rng = np.random.default_rng(3)
-    start, ahead = random_problem(rng, 1, limits=(1e5, 1e5))
+    start, horizon = random_problem(rng, 1, limits=(1e5, 1e5))
     problem = OptimalControl(DRAGGY, WEIGHTS)
-    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 1)), ahead)
-    way = descent(problem, plan, ahead)
+    plan = problem.predict(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 1)), horizon)
+    full = gauss_newton_step(problem, plan, horizon)
     size = STAGES * COMMAND_SIZE
     by_commands, residuals, rows = np.zeros((STATE_ROWS, size)), [], []
     for k in range(STAGES):
-        known = Stage(*ahead.known[k, :, 0])
+        stage = Stage(*horizon.stages[k, :, 0])
         choose = np.eye(size)[COMMAND_SIZE * k : COMMAND_SIZE * (k + 1)]
-        root = np.sqrt(known.dt)
-        missing = plan.commands[k, :, 0] - plan.states[k, 6:, 0]
+        root = np.sqrt(stage.dt)
+        force_error = plan.commands[k, :, 0] - plan.states[k, 6:, 0]
         effort = root * np.diag((WEIGHTS.surge, WEIGHTS.yaw))
-        residuals += list(effort @ missing)
+        residuals += list(effort @ force_error)
         rows += list(effort @ (choose - by_commands[6:]))
-        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k])[0]
         by_commands = f[:, :STATE_ROWS] @ by_commands + f[:, STATE_ROWS:] @ choose
         x, y, *_, v, _, _, _ = plan.states[k + 1, :, 0]
-        e = np.array((x - known.aim_x, y - known.aim_y))
-        touching = np.sqrt((known.dt + known.last * WEIGHTS.terminal) / np.sqrt(1 + e @ e / WEIGHTS.huber**2))
-        residuals += [*(touching * e), root * WEIGHTS.sway * v]
-        rows += [*(touching * by_commands[:2]), root * WEIGHTS.sway * by_commands[4]]
+        e = np.array((x - stage.target_x, y - stage.target_y))
+        weight = np.sqrt((stage.dt + stage.last * WEIGHTS.terminal) / np.sqrt(1 + e @ e / WEIGHTS.huber**2))
+        residuals += [*(weight * e), root * WEIGHTS.sway * v]
+        rows += [*(weight * by_commands[:2]), root * WEIGHTS.sway * by_commands[4]]
     A, b = np.array(rows), np.array(residuals)
     best, *_ = np.linalg.lstsq(A, -b, rcond=None)
     changed = np.zeros(STATE_ROWS)
-    for k in range(STAGES):  # the recursion's step is for the state that the changes before it lead to
-        feedback = way.feedback[k, :, 0].reshape(COMMAND_SIZE, STATE_ROWS)
-        change = way.step[k, :, 0] + feedback @ changed
+    for k in range(STAGES):  # the feedback acts on the state that results from the earlier changes
+        feedback = full.feedback[k, :, 0].reshape(COMMAND_SIZE, STATE_ROWS)
+        change = full.step[k, :, 0] + feedback @ changed
         np.testing.assert_allclose(change, best[COMMAND_SIZE * k : COMMAND_SIZE * (k + 1)], rtol=1e-6, atol=1e-6)
-        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k])[0]
         changed = f[:, :STATE_ROWS] @ changed + f[:, STATE_ROWS:] @ change
-    np.testing.assert_allclose(way.promise[0], b @ b - np.sum((A @ best + b) ** 2), rtol=1e-8)
+    np.testing.assert_allclose(full.decrease[0], b @ b - np.sum((A @ best + b) ** 2), rtol=1e-8)
 
 
 @given(seed=st.integers(0, 2**31 - 1))
@@ -144,41 +150,41 @@ def test_minimum_within_bounds_is_that_of_scipy(seed):
 )
 def test_optimum_is_that_of_casadi(limits, method):
     rng = np.random.default_rng(1)
-    start, ahead = random_problem(rng, 6, limits)
+    start, horizon = random_problem(rng, 6, limits)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
-    ours = guess = problem.planned(start, np.zeros((STAGES, COMMAND_SIZE, 6)), ahead)
+    ours = guess = problem.predict(start, np.zeros((STAGES, COMMAND_SIZE, 6)), horizon)
     for _ in range(60):
-        ours, _ = improved(problem, ours, ahead)
-    theirs = CasadiSolver(problem, STAGES, method)(guess, ahead, np.full(6, 100))
+        ours, _ = after_step(problem, ours, horizon)
+    theirs = CasadiSolver(problem, STAGES, method)(guess, horizon, np.full(6, 100))
     assert (theirs.cost < 0.9 * guess.cost).all()
     np.testing.assert_allclose(ours.cost, theirs.cost, rtol=1e-5)
     np.testing.assert_allclose(ours.commands[:3], theirs.commands[:3], atol=0.02 * limits[1])
-    assert (np.abs(ours.commands) <= ahead.limits).all()
+    assert (np.abs(ours.commands) <= horizon.limits).all()
     if limits[1] == 15.0:
-        assert (np.abs(ours.commands) == ahead.limits).any()
+        assert (np.abs(ours.commands) == horizon.limits).any()
 
 
-def test_steps_lower_the_cost_and_stop_where_there_is_nothing_to_gain():
+def test_steps_lower_the_cost_and_converge():
     rng = np.random.default_rng(2)
-    start, ahead = random_problem(rng, 8)
+    start, horizon = random_problem(rng, 8)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
-    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 8)), ahead)
+    plan = problem.predict(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 8)), horizon)
     steps = np.arange(8)
-    better = improved_plan(problem, plan, ahead, steps)
+    better = optimised_plan(problem, plan, horizon, steps)
     np.testing.assert_array_equal(better.commands[..., 0], plan.commands[..., 0])
     assert (better.cost[1:] < plan.cost[1:]).all()
     for _ in range(60):
-        plan, _ = improved(problem, plan, ahead)
-    assert np.abs(descent(problem, plan, ahead).step).max() < 1.0
-    np.testing.assert_allclose(problem.planned(start, plan.commands, ahead).cost, plan.cost)
+        plan, _ = after_step(problem, plan, horizon)
+    assert np.abs(gauss_newton_step(problem, plan, horizon).step).max() < 1.0
+    np.testing.assert_allclose(problem.predict(start, plan.commands, horizon).cost, plan.cost)
 
 
-def test_commands_one_period_on_are_the_means_of_the_same_commands():
+def test_shifted_commands_are_the_means_one_period_later():
     ends = np.array((1.0, 2.0, 4.0, 7.0))
     commands = np.array((3.0, -1.0, 5.0, 2.0))
-    fine = np.repeat(commands, (100, 100, 200, 500))  # the last one goes on
+    fine = np.repeat(commands, (100, 100, 200, 500))  # the last command continues
     expected = [fine[a + 100 : b + 100].mean() for a, b in ((0, 100), (100, 200), (200, 400), (400, 700))]
-    np.testing.assert_allclose(one_period_on(ends) @ commands, expected)
+    np.testing.assert_allclose(shift_matrix(ends) @ commands, expected)
 
 
 # The controller.
@@ -192,13 +198,13 @@ def observations(n, scenario="cruise-storm"):
     return UnderactuatedAUVTrackVectorEnv(n, scenario, preview=PREVIEW).reset(seed=7)[0]
 
 
-def test_it_sees_a_turn_coming():
-    """From the preview alone: the observation's own terms are those of a straight path."""
+def test_it_reacts_to_a_turn_in_the_preview():
+    """The terms of the observation are those of a straight path; only the preview contains the turn."""
     policy, rows = baselines.make_policy("nmpc"), observations(2, "cruise-calm")
     rows[1] = rows[0]
     rows[:, :6] = 0.0
-    ahead = 0.1 * np.array(PREVIEW)
-    rows[:, SIZE::2], rows[:, SIZE + 1 :: 2] = ahead, [np.zeros_like(ahead), 0.05 * ahead**2]
+    times = 0.1 * np.array(PREVIEW)
+    rows[:, SIZE::2], rows[:, SIZE + 1 :: 2] = times, [np.zeros_like(times), 0.05 * times**2]
     action, _ = policy.predict(rows)
     assert action[1, 1] > action[0, 1] + 0.01
 
@@ -206,7 +212,7 @@ def test_it_sees_a_turn_coming():
 @given(seed=st.integers(0, 2**31 - 1), size=st.floats(0, 1))
 @example(seed=0, size=1.0)
 @settings(max_examples=10, deadline=None)
-def test_actions_are_finite_whatever_is_observed(seed, size):
+def test_actions_are_finite_for_every_observation(seed, size):
     env = UnderactuatedAUVTrackVectorEnv(6, "cruise-storm", preview=PREVIEW)
     rows, policy, memory = env.reset(seed=7)[0], baselines.make_policy("nmpc"), None
     rng, high = np.random.default_rng(seed), env.single_observation_space.high
@@ -219,7 +225,7 @@ def test_actions_are_finite_whatever_is_observed(seed, size):
         assert all(np.isfinite(a).all() for a in memory)
 
 
-def test_a_spin_beyond_prediction_is_left_to_the_law():
+def test_the_tracking_law_acts_if_the_prediction_diverges():
     policy, law = baselines.make_policy("nmpc"), baselines.make_policy("backstepping-normalised")
     rows = observations(2)
     rows[0, 3:6] = np.array((16.0, 16.0, 8.0)) * (2, 2, 8)
@@ -227,8 +233,8 @@ def test_a_spin_beyond_prediction_is_left_to_the_law():
     np.testing.assert_array_equal(action[0], law.predict(rows[0])[0])
 
 
-def test_casadi_steers_alike():
-    """Once the start has been forgotten; until then the batch stops at its tolerance, with other commands."""
+def test_actions_are_those_with_casadi():
+    """After the first steps, in which the limited number of Gauss-Newton steps gives other commands."""
     env = UnderactuatedAUVTrackVectorEnv(2, "cruise-current", preview=PREVIEW)
     policies = [baselines.make_policy("nmpc") for _ in range(2)]
     for law in (policies[1].controller.slow, policies[1].controller.cruise):
@@ -245,7 +251,7 @@ def test_casadi_steers_alike():
     np.testing.assert_allclose(actions[0], actions[1], atol=0.02)
 
 
-def test_what_is_missing_is_said():
+def test_wrong_previews_and_gains_are_refused():
     with pytest.raises(ValueError, match=r"has 0 columns .* needs a preview of 32.*preview=policy.preview"):
         baselines.make_policy("nmpc").predict(observations(1)[:, :SIZE])
     with pytest.raises(ValueError, match=r"weight surge is 0\.0; it must be"):

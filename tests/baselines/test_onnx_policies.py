@@ -1,4 +1,4 @@
-"""Policies as ONNX models: what they compute, what they remember, and what is refused."""
+"""Policies as ONNX models: actions, memory, and error messages."""
 
 import os
 import re
@@ -59,7 +59,7 @@ def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation"
     return "model.onnx"
 
 
-def test_it_computes_and_remembers():
+def test_actions_and_memory():
     policy = make_policy(model())
     first, second = np.random.default_rng(1).normal(size=(2, 3, 18))
     action, memory = policy.predict(first)
@@ -76,7 +76,7 @@ def test_it_computes_and_remembers():
         policy.predict(first[:, :17])
 
 
-def test_single_precision_is_fine():
+def test_single_precision():
     observations = np.random.default_rng(1).normal(size=(3, 18))
     expected = make_policy(model()).predict(observations)[0]
     single = make_policy(model(real=TensorProto.FLOAT)).predict(observations)[0]
@@ -86,7 +86,7 @@ def test_single_precision_is_fine():
 @pytest.mark.parametrize(
     "told", [{"preview": "10, 20"}, {"observation": "e_x; ahead_10_x; ahead_10_y; ahead_20_x [m]"}]
 )
-def test_it_sees_ahead(told):
+def test_preview(told):
     policy = make_policy(model(width=22, **told))
     assert policy.preview == (10, 20)
     scenario = PRESETS["cruise-calm"]
@@ -94,7 +94,7 @@ def test_it_sees_ahead(told):
 
 
 @pytest.mark.parametrize("name", ["apg-preview-cruise", "ppo-slow"])
-def test_an_exported_agent_is_the_agent(name):
+def test_an_exported_agent_has_the_same_actions(name):
     onnx.save(onnx_model(exported(name)), "agent.onnx")
     agent, policy = make_policy(name), make_policy("agent.onnx")
     assert policy.preview == agent.preview
@@ -104,7 +104,7 @@ def test_an_exported_agent_is_the_agent(name):
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
-def test_its_fingerprint_is_the_file():
+def test_the_fingerprint_is_that_of_the_file():
     before = fingerprint(model())
     assert len(before) == 64
     assert fingerprint(model(note="another")) != before
@@ -113,23 +113,23 @@ def test_its_fingerprint_is_the_file():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"width": 20}, "it takes observations (20,); here they are (18,)"),
+        ({"width": 20}, "its observation has shape (20,); it must be (18,)"),
         ({"width": 22, "preview": "20, 10"}, "ascending"),
-        ({"batch": 1}, "takes batches of 1 alone"),
+        ({"batch": 1}, "fixed batch size of 1"),
         ({"names": ("observation", "sum", "action", "sum_after")}, "an output next_NAME"),
-        ({"names": ("obs", "sum", "action", "next_sum")}, "there must be observation and action"),
-        ({"names": ("observation", "sum", "command", "next_sum")}, "there must be observation and action"),
+        ({"names": ("obs", "sum", "action", "next_sum")}, "required are observation and action"),
+        ({"names": ("observation", "sum", "command", "next_sum")}, "required are observation and action"),
     ],
 )
-def test_what_is_no_policy_is_refused(changes, says):
+def test_other_models_are_rejected(changes, says):
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         make_policy(model(**changes))
-    assert "model.onnx is no ONNX model that can be used" in str(caught.value)
+    assert "model.onnx is not a usable ONNX model" in str(caught.value)
 
 
 def test_damaged_and_missing_files_are_named(monkeypatch):
     Path("text.onnx").write_text("no model")
-    with pytest.raises(ValueError, match=r"text\.onnx is no ONNX model that can be used"):
+    with pytest.raises(ValueError, match=r"text\.onnx is not a usable ONNX model"):
         make_policy("text.onnx")
     with pytest.raises(FileNotFoundError):
         make_policy("missing.onnx")
@@ -144,7 +144,7 @@ def test_damaged_and_missing_files_are_named(monkeypatch):
         make_policy("model.onnx")
 
 
-def test_no_other_file_is_read():
+def test_external_weights_are_rejected():
     """A model that keeps its weights in another file, wherever that is, is refused."""
     name = model()
     made = onnx.load(name)
@@ -153,6 +153,6 @@ def test_no_other_file_is_read():
     made.graph.initializer.insert(0, big)
     onnx.save(made, name, save_as_external_data=True, size_threshold=0, location="weights.bin")
     assert Path("weights.bin").exists()
-    with pytest.raises(ValueError, match="is no ONNX model that can be used"):
+    with pytest.raises(ValueError, match="is not a usable ONNX model"):
         make_policy(name)
     assert onnx_models.SUFFIX == ".onnx"

@@ -1,4 +1,4 @@
-"""What holds of every policy that competes: a batch is its members, memory begins anew, a compiler changes nothing."""
+"""Properties of all policies: batches equal single vehicles, memory is reset, compiled and plain code agree."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), P
 WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
 COMPILED = native.compiler() is not None and native.wanted()
 LOOSE = {"nmpc": 1e-4, "nmpc-adverse": 1e-4}
-"""Largest difference of actions between a batch and its members; the others' is 1e-5. Solvers stop at a tolerance."""
+"""Largest difference of actions between a batch and single vehicles, 1e-5 for all others: solvers have a tolerance."""
 
 
 @pytest.mark.filterwarnings("ignore:this policy was trained at", "ignore:these gains are stable")
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
-def test_lanes_do_not_know_each_other(name):
-    """A batch is its members one by one, and an episode that begins in one lane begins there anew."""
+def test_vehicles_of_a_batch_are_independent(name):
+    """Actions of a batch equal those for each vehicle alone, also if one episode begins later."""
     policy = make_policy(name)
     names = ["cruise-storm", "slow-storm", "cruise-actuator", "slow-calm"]
     envs = [UnderactuatedAUVTrackVectorEnv(1, scenario, preview=preview_of(policy)) for scenario in names]
@@ -68,28 +68,28 @@ def test_decisions_do_not_depend_on_where_north_is(name):
 
 @pytest.mark.parametrize(("name", "steps"), [("ekf", 120), ("nmpc", 25)])
 def test_without_a_compiler_decisions_are_the_same(name, steps, monkeypatch):
-    """The printed Python, for several vehicles and for one, on what the compiled law sees over an episode."""
+    """The generated Python code, for several vehicles and for one, on the observations of an episode."""
     controller = make_policy(name).controller.cruise
     scenarios = ["cruise-storm", "slow-storm", "cruise-actuator"]
     env = UnderactuatedAUVTrackVectorEnv(3, scenarios, preview=preview_of(controller))
     observation, _ = env.reset(seed=5)
-    memory, seen, decided = controller.start(3), [], []
+    memory, inputs, outputs = controller.start(3), [], []
     for _ in range(steps):
         o, extra = decode_observation(observation), observation[:, SIZE:]
         F_u, F_r, memory = controller.forces(o, memory, extra)
-        seen.append((o, extra))
-        decided.append((F_u, F_r))
+        inputs.append((o, extra))
+        outputs.append((F_u, F_r))
         observation, *_ = env.step(np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1))
     monkeypatch.setattr(Kernel, "_native", lambda *_: None)
-    for lanes in (slice(0, 3), slice(1, 2)):
-        memory = controller.start(len(range(3)[lanes]))
-        for (o, extra), forces in zip(seen, decided, strict=True):
-            *found, memory = controller.forces(Observation(*(row[lanes] for row in o)), memory, extra[lanes])
-            np.testing.assert_allclose(found, np.array(forces)[:, lanes], rtol=1e-9, atol=1e-6)
+    for rows in (slice(0, 3), slice(1, 2)):
+        memory = controller.start(len(range(3)[rows]))
+        for (o, extra), forces in zip(inputs, outputs, strict=True):
+            *found, memory = controller.forces(Observation(*(row[rows] for row in o)), memory, extra[rows])
+            np.testing.assert_allclose(found, np.array(forces)[:, rows], rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["oracle", "clairvoyant"])
-def test_full_information_is_asked_for(name):
+def test_full_information_is_required(name):
     policy = make_policy(name)
     assert isinstance(policy, Privileged)
     with pytest.raises(RuntimeError, match="needs prepare"):

@@ -151,6 +151,7 @@ def test_workers_that_still_import_leave_an_interrupt_to_the_first_process(tmp_p
         process.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("program", ["train.py", "evaluate.py"])
 def test_output_to_a_full_device_is_one_line(program, tmp_path):
@@ -191,7 +192,7 @@ def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch):
         raise NotImplementedError
 
     monkeypatch.setattr("filelock.FileLock.acquire", acquire)
-    with pytest.raises(UsageError, match="choose a folder on another file system"), locked(tmp_path):
+    with pytest.raises(UsageError, match="has no locks; choose a folder on another one"), locked(tmp_path):
         pass
 
 
@@ -216,7 +217,7 @@ def test_no_single_bit_of_a_checkpoint_can_change_unnoticed(checkpoint):
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         (folder / "checkpoint.pt").write_bytes(damaged)
-        with pytest.raises(TrainingError, match=r"cannot go on from .*: it is damaged, its SHA-256 differs; begin"):
+        with pytest.raises(TrainingError, match=r"cannot resume from .*: it is damaged, its SHA-256 differs; start"):
             RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "checkpoint.pt").write_bytes(content)
 
@@ -267,7 +268,7 @@ def threads_of(monkeypatch, value):
     return status, set(found), os.environ[THREADS]
 
 
-def test_a_command_computes_with_one_thread_unless_it_is_told_otherwise(monkeypatch, capsys):
+def test_a_command_uses_one_thread_by_default(monkeypatch, capsys):
     assert threads_of(monkeypatch, None) == (0, {1}, "1")
     assert threads_of(monkeypatch, "2") == (0, {2}, "2")
     assert threads_of(monkeypatch, "2,4") == (0, {2}, "2,4")
@@ -284,7 +285,7 @@ def test_a_lost_worker_is_one_line(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert process.returncode == 1
-    assert process.stderr.startswith("it: a worker process was lost")
+    assert process.stderr.startswith("it: a worker process ended unexpectedly")
     assert process.stderr.count("\n") == 1
 
 
@@ -335,7 +336,7 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
         if not changed:
             assert RunFolder(CONFIG, folder).load_checkpoint()["vehicle_names"].lanes[0].y == 2.0
             continue
-        message = rf"cannot go on from .*: it holds objects of {name}\.{of}.* changed since; begin again in another"
+        message = rf"cannot resume from .*: it holds objects of {name}\.{of}.* changed since; start again in another"
         with pytest.raises(TrainingError, match=message):
             RunFolder(CONFIG, folder).load_checkpoint()
     del sys.modules[name]
@@ -345,7 +346,7 @@ def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
     run = RunFolder(CONFIG, checkpoint[0])
     with (
         pytest.raises(
-            TrainingError, match=r"cannot go on from .*: it has no 'vehicle_names'; begin again in another folder"
+            TrainingError, match=r"cannot resume from .*: it has no 'vehicle_names'; start again in another folder"
         ),
         run.restoring(),
     ):

@@ -86,7 +86,7 @@ def gone(*pids):
 
 
 @pytest.mark.parametrize("name", EXAMPLES, ids=["python", "node", "c"])
-def test_the_examples_do_what_the_class_does(name):
+def test_the_examples_equal_the_class(name):
     if shutil.which(EXAMPLES[name]) is None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)(f"{EXAMPLES[name]} is not installed")
     written()
@@ -121,7 +121,7 @@ def test_the_greeting_says_what_an_observation_is():
     assert hello["vehicle"]["X_uu"] == 40.0
 
 
-def test_it_is_told_where_episodes_start():
+def test_questions_mark_the_starts_of_episodes():
     text = LOOP + "    begins = [float(s) for s in json.loads(line)['starts']]\n"
     policy = make_policy(program(text + "    answer = {'actions': [[b, -1.0] for b in begins]}\n" + TELL))
     rows = np.zeros((3, 18))
@@ -142,7 +142,7 @@ def test_it_is_told_where_episodes_start():
         policy.predict(np.zeros((2, 20)))
 
 
-def test_it_sees_ahead_if_it_wants():
+def test_a_program_with_a_preview():
     """Its columns are those that the environment shows to any policy with that preview."""
     text = LOOP.replace('"{}"', "'{\"preview\": [10, 20]}'")
     text += "    ahead = [row[18:] for row in json.loads(line)['observations']]\n"
@@ -154,25 +154,28 @@ def test_it_sees_ahead_if_it_wants():
 
 
 WRONG = {
-    "no words": ("cmd:", "there is no word behind cmd:"),
+    "no words": ("cmd:", "there is no command after cmd:"),
     "open quotation": ("cmd:./a 'b", "No closing quotation"),
     "no such program": ("cmd:./nothing --option", r"cannot start cmd:\./nothing --option: No such file"),
     "ends": ("import sys\nsys.exit(3)", "it has ended with status 3"),
-    "fails": ("1 / 0", "ended with status 1; its last words: ZeroDivisionError"),
+    "fails": ("1 / 0", "ended with status 1; the last line of its stderr: ZeroDivisionError"),
     "is killed": ("import os\nos.kill(os.getpid(), 9)", "ended by signal SIGKILL"),
     "is silent": ("import time\ntime.sleep(60)", "it has not answered for 0.5 s"),
     "closes": ("import os, time\nos.close(1)\ntime.sleep(60)", "closed its standard output"),
     "babbles": ("while True: print('ready')", "more than one line|'ready'|answers ready"),
     "remarks": (
         "print('ready')\nimport time\ntime.sleep(9)",
-        "answers ready, which is no JSON; remarks belong on stderr",
+        "answers ready, which is not JSON; write other output to stderr",
     ),
-    "no table": ("print(3)\ninput()\ninput()", "answers 3, which is no table"),
-    "deep": ("print('[' * 10**5)\ninput()\ninput()", "which is no JSON"),
+    "no table": ("print(3)\ninput()\ninput()", "answers 3, which is not a JSON object"),
+    "deep": ("print('[' * 10**5)\ninput()\ninput()", "which is not JSON"),
     "without end": ("import sys\nwhile True: sys.stdout.write('a' * 2**16)", "longer than 4194304 bytes"),
-    "another greeting": ("print('{\"hello\": 1}')\ninput()\ninput()", "greets with 'hello'; known is 'preview'"),
+    "another greeting": (
+        "print('{\"hello\": 1}')\ninput()\ninput()",
+        "has the entry 'hello'; allowed is only 'preview'",
+    ),
     "no preview": ("print('{\"preview\": [3, 2]}')\ninput()\ninput()", "preview is .*ascending"),
-    "says why": (LOOP + "    answer = {'error': 'no licence'}\n" + TELL, "it says: no licence"),
+    "says why": (LOOP + "    answer = {'error': 'no licence'}\n" + TELL, "it reports: no licence"),
     "too many": (LOOP + "    answer['actions'] *= 2\n" + TELL, "answers 2 actions for 1 observations"),
     "no pair": (LOOP + "    answer['actions'][0] = [1]\n" + TELL, r"action 0 of 1 is \[1\]; it must be two numbers"),
     "null": (LOOP + "    answer['actions'][0] = [None, 1]\n" + TELL, r"\[null, 1\]; it must be two numbers"),
@@ -185,7 +188,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_mistakes_are_one_line(case, monkeypatch):
+def test_errors_are_one_line(case, monkeypatch):
     text, says = WRONG[case]
     monkeypatch.setattr(programs, "START", 0.5 if case in ("is silent", "closes") else 20.0)
     name = text if text.startswith("cmd:") else program(f"import os\nopen('pid', 'w').write(str(os.getpid()))\n{text}")
@@ -198,7 +201,7 @@ def test_mistakes_are_one_line(case, monkeypatch):
     assert not Path("out").exists()
 
 
-def test_one_that_fails_on_the_way_costs_its_own_row():
+def test_a_failure_in_an_episode_only_affects_its_row():
     """By its end, its silence, or actions that are no numbers, in the middle of an episode."""
     late = "    if k == 50: {}\n" + TELL
     for i, what in enumerate(("sys.exit('out of fuel')", "answer = {'actions': [[float('nan'), 1e999]]}")):
@@ -218,7 +221,7 @@ def test_the_time_of_an_answer_is_bounded(monkeypatch):
     assert time.monotonic() - since < 30
 
 
-def test_slow_ones_are_refused_as_other_policies_are():
+def test_slow_programs_are_rejected():
     name = program(LOOP + "    import time; time.sleep(0.02)\n" + TELL)
     policy, scenario = make_policy(name), PRESETS["cruise-calm"]
     with pytest.raises(Exception, match=r"a decision takes .* allowed are 0\.001 s"):
@@ -258,7 +261,7 @@ time.sleep(1000)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not show the environment of a process")
 @pytest.mark.parametrize("rows", [1, 4096], ids=["waits for the answer", "the question does not fit the pipe"])
-def test_the_time_of_an_answer_is_bounded_where_a_child_holds_the_pipes(rows, monkeypatch):
+def test_the_time_of_an_answer_is_bounded_if_a_child_holds_the_pipes(rows, monkeypatch):
     """It has been started in the program's session, in one of its own, and by a process that has ended."""
     text = SPAWNING.format('[{"stdin": 0}, {"stdin": 0, "start_new_session": True}]')
     orphan = """subprocess.run(["sh", "-c", "setsid sleep 1000 & echo $! > orphan"], stdin=0)"""
@@ -273,7 +276,8 @@ def test_the_time_of_an_answer_is_bounded_where_a_child_holds_the_pipes(rows, mo
     assert gone(*pids)
 
 
-def test_none_is_left_where_evaluate_is_ended(tmp_path):
+@pytest.mark.slow
+def test_no_process_is_left_after_evaluate_is_killed(tmp_path):
     """By SIGTERM, with the program in a worker process."""
     name = program(LOOP.replace("hello =", "import os; open(f'pid{os.getpid()}', 'w'); hello =", 1) + TELL)
     command = [sys.executable, str(ROOT / "evaluate.py"), "--policy", name, "--scenario", "slow-calm", "cruise-calm"]
@@ -328,7 +332,7 @@ def test_files_that_a_command_names_belong_to_its_fingerprint(tmp_path, monkeypa
         evaluate.main(["--policy", program(LOOP + TELL) + " model", "--scenario", "slow-calm", "--out", "out"])
 
 
-def test_its_name_is_no_path_of_another_kind():
+def test_a_command_is_not_another_kind_of_path():
     for name in ("cmd:a.py:b", "cmd:model.zip", "cmd:x.onnx", "cmd:x:fade", "cmd:" + "x" * 5000):
         assert is_path(name)
         assert agent_folder(name) is None
@@ -338,7 +342,7 @@ def test_its_name_is_no_path_of_another_kind():
         make_policy("cmd:true", gains="paper")
 
 
-def test_a_program_is_not_asked_what_to_do_with_no_number():
+def test_invalid_observations_are_not_sent():
     """It has seen nothing of it: its next question is the next good observation."""
     text = LOOP + "    answer = {'actions': [[k / 64, -k / 64]]}\n" + TELL
     policy = make_policy(program(text))

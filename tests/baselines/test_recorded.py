@@ -1,4 +1,4 @@
-"""What is kept of runs: rows that repeat, fingerprints of all that makes them, files that are whole or refused."""
+"""Stored results: recorded rows are reproduced, fingerprints cover the right code, damaged files are refused."""
 
 import ast
 import dataclasses
@@ -40,13 +40,13 @@ SAMPLE = {
     "vehicles-v1": "cruise-storm@otter",
 }
 CLOSEST = 1e-6
-"""Relative difference that another processor may make; on the one that recorded the rows there is none."""
+"""Largest relative difference on another processor; on the processor of the recording the rows are equal."""
 
 
 @pytest.mark.parametrize("suite", SAMPLE)
 @pytest.mark.parametrize("policy", ["backstepping", "open-loop", "los-pid"])
-def test_recorded_rows_repeat(suite, policy):
-    """A sample of what `make verify` does."""
+def test_recorded_rows_are_reproduced(suite, policy):
+    """`make verify` compares all rows; this test compares a sample."""
     whole = suites.load_suite(suite)
     old = recorded.read_recorded(whole, policy)
     (cell,) = cells_to_run(whole, old, [SAMPLE[suite]])
@@ -58,7 +58,7 @@ def test_recorded_rows_repeat(suite, policy):
 
 @pytest.fixture
 def rows(tmp_path, monkeypatch):
-    """A folder with the recorded rows of two cheap policies in a suite; the command works on it."""
+    """A folder with the recorded rows of two fast policies in a suite; the command uses this folder."""
     folder = tmp_path / "recorded"
     (folder / "ood-v1").mkdir(parents=True)
     for policy in ("backstepping", "open-loop"):
@@ -70,7 +70,7 @@ def rows(tmp_path, monkeypatch):
     return folder
 
 
-def test_verify_finds_what_differs(rows, capsys):
+def test_verify_finds_a_changed_number(rows, capsys):
     arguments = ["verify", "ood-v1", "--cells", "slow-lawnmower"]
     assert command.main(arguments) == DONE
     assert capsys.readouterr().out.count("equal ") == 2
@@ -89,9 +89,9 @@ def test_verify_finds_what_differs(rows, capsys):
     )
 
 
-def test_stale_rows_are_stamped_once_they_are_verified(rows, monkeypatch, capsys):
+def test_outdated_rows_are_used_after_verification(rows, monkeypatch, capsys):
     suite = suites.load_suite("ood-v1")
-    entry = (Backstepping, {"gains": "auto"}, "the same law, said otherwise")
+    entry = (Backstepping, {"gains": "auto"}, "the same law with other options")
     monkeypatch.setitem(baselines.POLICIES, "backstepping", entry)
     found = recorded.load_recorded(suite, rows)
     assert "have changed since" in found.refused["backstepping"]
@@ -102,16 +102,16 @@ def test_stale_rows_are_stamped_once_they_are_verified(rows, monkeypatch, capsys
     assert recorded.load_recorded(suite, rows).refused == {}
 
 
-def test_rows_that_were_changed_or_are_of_another_policy_do_not_count(rows):
+def test_changed_rows_and_rows_of_another_policy_are_not_used(rows):
     suite, folder = suites.load_suite("ood-v1"), rows / "ood-v1"
     shutil.copy(folder / "open-loop.npz", folder / "backstepping.npz")
-    assert "holds the rows of open-loop" in recorded.load_recorded(suite, rows).refused["backstepping"]
+    assert "has the rows of open-loop" in recorded.load_recorded(suite, rows).refused["backstepping"]
     with reading(folder / "open-loop.npz") as kept:
         write(folder / "open-loop.npz", Stored(kept.record, {"measures": kept.arrays["measures"] * 1.5}))
     assert "the rows have" in recorded.load_recorded(suite, rows).refused["open-loop"]
 
 
-def test_verdicts_by_hand():
+def test_verdicts_on_known_differences():
     (old,) = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 3, 0)])
     assert PolicyVerdict.of(old, old).differing == 0
     steady_rmse = old.measures.steady_rmse.copy()
@@ -124,14 +124,14 @@ def test_verdicts_by_hand():
         PolicyVerdict.of(old, dataclasses.replace(old, measures=None, error="no"))
 
 
-def test_every_policy_has_a_fingerprint_of_its_own():
+def test_all_policies_have_different_fingerprints():
     prints = {name: fingerprint(name) for name in baselines.list_policies()}
     assert all(len(digest) == 64 for digest in prints.values())
     assert len(set(prints.values())) == len(prints)
     assert fingerprint("nobody") == ""
 
 
-def test_code_counts_and_what_it_says_of_itself_does_not(tmp_path):
+def test_fingerprints_cover_code_without_docstrings_and_format(tmp_path):
     file = tmp_path / "law.py"
     digests = []
     for text in (
@@ -141,19 +141,19 @@ def test_code_counts_and_what_it_says_of_itself_does_not(tmp_path):
     ):
         file.write_text(text)
         fingerprints._parsed.cache_clear()
-        digests.append(fingerprints._unit(file).digest)
+        digests.append(fingerprints._module(file).digest)
     assert digests[0] == digests[1] != digests[2]
     assert fingerprints._plain(ast.parse("'alone'\nx = 1")) == fingerprints._plain(ast.parse("x = 1"))
 
 
 def simulator_of(folder):
-    """Return the fingerprint of the simulator in a folder, in a process of its own."""
+    """Return the fingerprint of the simulator in a folder, computed in another process."""
     code = "from baselines.evaluation.fingerprints import simulator_fingerprint as f; print(f())"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(folder), str(ROOT)))}
     return subprocess.check_output([sys.executable, "-c", code], text=True, cwd=folder, env=environment).strip()
 
 
-def test_the_simulator_is_its_equations_and_not_what_is_said_of_them(tmp_path):
+def test_fingerprint_of_the_simulator_covers_equations_without_docstrings(tmp_path):
     copy = tmp_path / "auv_gym"
     shutil.copytree(ROOT / "auv_gym", copy, ignore=shutil.ignore_patterns("__pycache__"))
     now = fingerprints.simulator_fingerprint()
@@ -174,7 +174,7 @@ def test_the_simulator_is_its_equations_and_not_what_is_said_of_them(tmp_path):
     assert simulator_of(tmp_path) != now
 
 
-def test_rows_of_another_simulator_count_and_a_note_says_so(rows, monkeypatch):
+def test_rows_of_another_simulator_are_used_with_a_note(rows, monkeypatch):
     suite = suites.load_suite("ood-v1")
     for policy in ("backstepping", "open-loop"):
         recorded.stamp_recorded(suite, policy)
@@ -188,7 +188,7 @@ def test_rows_of_another_simulator_count_and_a_note_says_so(rows, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["lqi", "ekf", "nmpc", "integral-normalised", "backstepping-tuned"])
-def test_a_controller_is_made_of_its_own_gains(name, tmp_path, monkeypatch):
+def test_fingerprint_of_a_controller_covers_its_own_gains(name, tmp_path, monkeypatch):
     shutil.copytree(fingerprints.GAINS, tmp_path / "gains")
     monkeypatch.setattr(fingerprints, "GAINS", tmp_path / "gains")
     others = {"smc-dob", "los-pid", "adaptive"}
@@ -202,7 +202,7 @@ def test_a_controller_is_made_of_its_own_gains(name, tmp_path, monkeypatch):
     assert {own for own in before if fingerprint(own) == before[own]} == others
 
 
-def test_of_an_agent_counts_what_acts(tmp_path, monkeypatch):
+def test_fingerprint_of_an_agent_covers_everything_that_affects_actions(tmp_path, monkeypatch):
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     agent = Agent(network, zeros, "backstepping", (0.5, 0.5), region=(1.0,) * 6)
@@ -222,7 +222,7 @@ def test_of_an_agent_counts_what_acts(tmp_path, monkeypatch):
     assert digest() != same
 
 
-def test_a_file_without_end_is_no_policy(tmp_path):
+def test_a_huge_file_is_no_policy(tmp_path):
     file = tmp_path / "model.zip"
     with file.open("wb") as stream:
         stream.truncate(fingerprints.LARGEST_POLICY_FILE + 1)
@@ -232,7 +232,7 @@ def test_a_file_without_end_is_no_policy(tmp_path):
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
-    """A finished run, and the file that keeps it."""
+    """A finished run and the store with its file."""
     run = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 2, 0)])[0]
     folder = RowStore(tmp_path_factory.mktemp("rows"))
     folder.save(run)
@@ -246,8 +246,8 @@ def test_a_row_under_another_key_is_refused(kept):
     assert folder.load("0123456789abcdef0123") is None
 
 
-def test_damaged_files_are_refused_whatever_is_wrong(kept, tmp_path):
-    """Single bits, cuts, wrong types: a ValueError or the file as it was."""
+def test_damaged_files_are_refused(kept, tmp_path):
+    """A changed bit or a cut raises ValueError, or does not change the content."""
     folder, run = kept
     whole, file = (folder.folder / f"{run.key}.npz").read_bytes(), tmp_path / "a.npz"
     rng = np.random.default_rng(0)
@@ -271,7 +271,7 @@ def test_records_of_the_wrong_kind_are_refused(record, tmp_path):
         load_studies(tmp_path)
 
 
-def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
+def test_a_file_with_a_large_content_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "_LARGEST_CONTENT", 10**6)
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("measures.npy", bytes(2 * 10**6))

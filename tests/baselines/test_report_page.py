@@ -1,4 +1,4 @@
-"""The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
+"""The report of an evaluation in a browser: wide and narrow screens, print, no scripts, and hostile names."""
 
 import re
 import subprocess
@@ -20,25 +20,23 @@ from baselines.evaluation.runner import run_all
 from baselines.tools.figure_style import LOOKS
 
 ROOT = Path(__file__).parents[2]
-LARGEST = 1_500_000  # bytes of a page
+LARGEST = 1_500_000  # [bytes] of a page
 HOSTILE = '</script><img src=x onerror="window.caught=1"><b>&{{7*7}}\\'
-PATIENCE = 60_000  # milliseconds that a busy machine may take
+TIMEOUT = 60_000  # [ms]
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Pages by name: the whole benchmark, and a run of a few policies, one of them of a hostile name."""
+    """A folder with two pages: the whole benchmark, and a run of a few policies, one of them with a hostile name."""
     folder = tmp_path_factory.mktemp("pages")
     request = Request.of(Options(suite="benchmark-v2", out=folder / "out"))
     cells = [replace(cell, episodes=cell.episodes[:3]) for cell in request.cells]
-    live = run_all(
-        ("backstepping",), cells, step_limit=PATIENCE
-    )  # three episodes of each case; the recorded ones are whole
+    live = run_all(("backstepping",), cells, step_limit=TIMEOUT)
     order = [cell.scenario.name for cell in cells]
     runs = sorted((*request.earlier, *live), key=lambda run: order.index(run.scenario.name))
     texts = {"benchmark": report_html(request, compare(runs), pool(runs))}
     few = Request.of(Options(scenario=("cruise-storm", "slow-current"), episodes=3, out=folder / "out"))
-    runs = run_all(("backstepping", "lqi", "open-loop"), few.cells, step_limit=PATIENCE)
+    runs = run_all(("backstepping", "lqi", "open-loop"), few.cells, step_limit=TIMEOUT)
     runs = [replace(run, policy=HOSTILE) if run.policy == "open-loop" else run for run in runs]
     texts["few"] = report_html(
         replace(few, command=f"python evaluate.py --policy {HOSTILE}"), compare(runs), pool(runs)
@@ -50,21 +48,22 @@ def pages(tmp_path_factory):
 
 
 def ready(page):
-    page.wait_for_function("document.documentElement.dataset.ready === 'charts'", timeout=PATIENCE)
+    page.wait_for_function("document.documentElement.dataset.ready === 'charts'", timeout=TIMEOUT)
 
 
 def policies_of(chart):
-    """The policies that are named beside a chart's lines."""
+    """Return the policies that are named in a chart."""
     return set(chart.locator(".mark-text.role-axis-label text").all_text_contents()) & {*list_policies(), HOSTILE}
 
 
-def test_looks_differ_for_thirty_policies():
+def test_thirty_policies_have_different_looks():
     assert len(LOOKS) >= 30
     assert len({(look.colour, look.dash) for look in LOOKS}) == len(LOOKS)
     assert len({(look.colour, look.marker) for look in LOOKS}) == len(LOOKS)
 
 
-def test_the_whole_benchmark_is_small(pages):
+@pytest.mark.slow
+def test_the_page_of_the_benchmark_is_small(pages):
     text = (pages / "suite" / "report.html").read_text(encoding="utf-8")
     assert len(text.encode()) < LARGEST
     assert all(policy in text for policy in list_policies())
@@ -89,10 +88,18 @@ def test_the_benchmark_in_a_browser(browser, pages, width):
         count = len(list_policies())
         page.wait_for_function(f"document.getElementById('count').textContent === '{count} of {count} shown'")
         page.wait_for_function(
-            "document.getElementById('steady_rmses').textContent.includes('open-loop')", timeout=PATIENCE
+            "document.getElementById('steady_rmses').textContent.includes('open-loop')", timeout=TIMEOUT
         )
-        assert len(policies_of(page.locator("#steady_rmses"))) >= len(slow) - 1  # the bound lies beyond the axis
+        assert len(policies_of(page.locator("#steady_rmses"))) >= len(slow) - 1  # the optimum is outside of the axis
         assert page.locator("#scores svg").count() >= 2
+
+
+def test_no_column_is_cut_off(browser, pages):
+    for name in ("suite/report.html", "few.html"):
+        with opened(browser, pages / name, 1400) as page:
+            ready(page)
+            for table in page.locator(".wide:visible").all():
+                assert table.evaluate("box => box.scrollWidth <= box.clientWidth"), name
 
 
 def test_sort_filter_and_scenario(browser, pages):
@@ -123,13 +130,13 @@ def test_switch_a_policy_off_and_play(browser, pages):
         ):
             assert page.locator(f"#{chart} {lines}").count() == 3, chart
         page.locator('#leaderboard .panel.current tr[data-policy="lqi"] input').uncheck()
-        page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=PATIENCE)
+        page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=TIMEOUT)
         assert "lqi" not in policies_of(page.locator("#steady_rmses"))
         assert page.locator("#now div").count() == 2
         image = "document.getElementById('sea').toDataURL()"
         before = page.evaluate(image)
         page.click("#play")
-        page.wait_for_function("Number(document.getElementById('time').value) > 5", timeout=PATIENCE)
+        page.wait_for_function("Number(document.getElementById('time').value) > 5", timeout=TIMEOUT)
         page.click("#play")
         assert page.evaluate(image) != before
         assert re.match(r"\d+\.\d of \d+ s", page.locator("#clock").text_content())
@@ -143,39 +150,39 @@ def test_switch_a_policy_off_and_play(browser, pages):
         )
 
 
-def test_in_print_every_table_is_there(browser, pages):
+def test_print_has_all_tables(browser, pages):
     with opened(browser, pages / "few.html") as page:
         ready(page)
-        assert page.locator("#scenario .panel:visible").count() == 1
+        assert page.locator("#leaderboard .panel:visible").count() == 1
         page.emulate_media(media="print")
-        assert page.locator("#scenario .panel:visible").count() == 2
         assert page.locator("#leaderboard .panel:visible").count() == 2
+        assert page.locator("#scenario .panel").count() == 0  # each table is on the page once
         assert page.locator(".controls:visible").count() == 0
         assert len(page.pdf(format="A4")) > 20_000
 
 
-def test_without_a_script_there_are_the_tables(browser, pages):
+def test_page_without_scripts_has_the_tables(browser, pages):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
     page.goto((pages / "few.html").resolve().as_uri())
-    assert page.locator("#scenario .panel:visible").count() == 2
+    assert page.locator("#leaderboard .panel:visible").count() == 2
     assert page.locator(".script:visible").count() == 0
     assert HOSTILE in page.locator("body").inner_text()
     context.close()
 
 
-def test_the_same_run_makes_the_same_page(pages, tmp_path):
+def test_the_same_run_gives_the_same_page(pages, tmp_path):
     request = Request.of(Options(scenario=("slow-calm",), episodes=2, out=tmp_path))
     runs = [
         replace(run, seconds=1.0, decision_seconds=1e-5)
-        for run in run_all(("backstepping",), request.cells, step_limit=PATIENCE)
+        for run in run_all(("backstepping",), request.cells, step_limit=TIMEOUT)
     ]
     assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
 
 
 def test_pictures_of_the_pages(browser, pages, tmp_path):
-    """In a process of its own: Playwright runs once in each."""
-    del browser  # it is there
+    """The command runs in another process, since Playwright allows one instance in each."""
+    del browser  # only required
     words = ["-m", "research", "screenshots", "--pages", str(pages), "--out", str(tmp_path)]
     subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
     shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
@@ -184,8 +191,8 @@ def test_pictures_of_the_pages(browser, pages, tmp_path):
         assert 5_000 < (ROOT / "docs" / "images" / name).stat().st_size < 250_000
 
 
-def test_charts_code_of_others_is_not_used(tmp_path, monkeypatch):
-    """Where others may write to the cache, what lies in it could be any script."""
+def test_cached_code_of_charts_is_used_from_private_folders_only(tmp_path, monkeypatch):
+    """If other users can write to the cache, its files could contain any script."""
     monkeypatch.setenv("AUV_GYM_CACHE", str(tmp_path))
     tmp_path.chmod(0o700)
     _library.cache_clear()

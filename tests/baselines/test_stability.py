@@ -1,4 +1,4 @@
-"""Local stability: the linearised error dynamics against differences, the known figures of the paper's law."""
+"""Local stability: linearised error dynamics against differences, and known eigenvalues of the paper's law."""
 
 from dataclasses import replace
 
@@ -17,19 +17,19 @@ MAP = {0.1: (-0.213, -0.168, -0.098, -0.051), 0.5: (0.002, -0.010, -0.047, -0.09
 
 
 def test_error_dynamics_with_quadratic_drag_and_lift():
-    """Against differences of (2) and of the errors' kinematics in the body frame, about any motion."""
-    hull = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
-    hull = replace(hull, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
+    """Against differences of (2) and of the errors' kinematics in the body frame."""
+    vehicle = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+    vehicle = replace(vehicle, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
     u_R, v_R, r_R = 0.8, -0.3, 0.2
 
     def error_rates(e, force=(0.0, 0.0)):
         e_x, e_y, psi_e, u_e, v_e, r_e = e
         u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
         c, s = np.cos(psi_e), np.sin(psi_e)
-        _, _, *accelerations = rates(0.0, u, v, r, (force[0], 0.0, force[1]), hull.coefficients)
+        _, _, *accelerations = rates(0.0, u, v, r, (force[0], 0.0, force[1]), vehicle.coefficients)
         return np.array((u - c * u_R - s * v_R + r * e_y, v - c * v_R + s * u_R - r * e_x, r_e, *accelerations))
 
-    A, B = error_dynamics(hull, u_R, v_R, r_R)
+    A, B = error_dynamics(vehicle, u_R, v_R, r_R)
     h, still = 1e-6, np.zeros(6)
     slopes = [(error_rates(h * d) - error_rates(-h * d)) / (2 * h) for d in np.eye(6)]
     np.testing.assert_allclose(A, np.array(slopes).T, atol=1e-8)
@@ -44,7 +44,7 @@ def test_the_papers_law(speed):
     np.testing.assert_allclose(found, MAP[speed], atol=6e-4)
 
 
-def test_straight_lines_turn_unstable_at_the_speed_where_the_largest_real_part_is_zero():
+def test_at_the_speed_of_the_first_instability_the_largest_real_part_is_zero():
     speed = first_instability(PAPER_VEHICLE, GAINS["paper"], 0.3, 0.8)
     assert speed == pytest.approx(0.497, abs=5e-4)
     assert closed_loop_eigenvalues(PAPER_VEHICLE, GAINS["paper"], speed, 0.0)[0].real == pytest.approx(0, abs=1e-6)

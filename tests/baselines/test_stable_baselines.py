@@ -102,7 +102,7 @@ def test_random_search_can_be_exported_too(squash):
     np.testing.assert_allclose(actions, model.predict(x, deterministic=True)[0], rtol=0, atol=1e-6)
 
 
-def test_actors_that_no_agent_can_be_are_refused():
+def test_other_actors_are_rejected():
     env = make_training_env(configuration(), 3)
     smooth = {"use_sde": True, "policy_kwargs": {"clip_mean": 2.0}}
     other = make_model(configuration("ppo")).policy
@@ -110,7 +110,7 @@ def test_actors_that_no_agent_can_be_are_refused():
     models = CrossQ("MlpPolicy", env, buffer_size=100), SAC("MlpPolicy", env, buffer_size=100, **smooth)
     refused = [nn.Linear(24, 2), other, *(model.policy for model in models)]
     for policy in refused:
-        with pytest.raises(ValueError, match="no chain of linear layers"):
+        with pytest.raises(ValueError, match="must consist of linear layers"):
             exported_network(policy, configuration())
 
 
@@ -151,7 +151,7 @@ def test_features_are_the_same_on_scalar_environments():
                 np.testing.assert_allclose(a["terminal_observation"], b["terminal_observation"], rtol=0, atol=1e-4)
 
 
-def test_last_features_of_an_episode_are_what_it_would_have_gone_on_with():
+def test_last_features_of_an_episode():
     short, long = (make_training_env(configuration(steps=steps), 1) for steps in (30, 31))
     for env in (short, long):
         env.seed(3)
@@ -173,7 +173,7 @@ def test_features_are_of_the_residual_environment_only():
 
 
 @pytest.mark.parametrize(("algo", "values"), VARIANTS)
-def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, values):
+def test_training_starts_at_the_expert_with_the_given_spread(algo, values):
     model = untrained(algo, **values)
     callback = ZeroCorrection(0.05)
     callback.init_callback(model)
@@ -197,7 +197,7 @@ def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, 
 
 
 @pytest.mark.parametrize("algo", ["sac", "td3", "tqc"])
-def test_frozen_actor_keeps_still_while_the_critic_learns(algo):
+def test_frozen_actor_does_not_change(algo):
     model = make_model(configuration(algo, learning_starts=0, train_freq=1, gradient_steps=2, batch_size=16))
 
     def parameters(net):
@@ -246,7 +246,7 @@ def test_presets_are_validated_on_the_frozen_suite():
     assert len(validation_cell(PRESETS["paper-circle"]).episodes) == 64
 
 
-def test_error_costs_the_lag_in_seconds_and_its_logarithm_from_there():
+def test_cost_is_linear_then_logarithmic():
     """Against the integral of the cost's slope, 1 up to LINEAR and LINEAR / t beyond it."""
     plain, dear = (make_training_env(configuration(steps=200), 4, wrappers) for wrappers in ([], [{COST: {}}]))
     for env in (plain, dear):
@@ -270,7 +270,7 @@ def test_error_costs_the_lag_in_seconds_and_its_logarithm_from_there():
     assert (none.step(np.zeros((1, 2), dtype=np.float32))[1] == 0).all()
 
 
-def test_error_cost_with_a_lead_is_that_of_the_error_moved_on_by_its_rate():
+def test_cost_with_a_lead_is_that_of_the_extrapolated_error():
     """Against differences of the world error in time, without sensor noise."""
     quiet = Scenario.from_dict({**PRESETS["cruise-current"].to_dict(), "sensors": {}, "name": "quiet", "steps": 60})
     config = Config("sac", ((quiet, 1.0),), authority=(0.4, 0.8), hyperparameters={})

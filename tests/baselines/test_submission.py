@@ -1,4 +1,4 @@
-"""Submissions: files that are whole and true or refused, episodes that run again, the leaderboard and its tutorial."""
+"""Submissions: checks of files, reproduction of episodes, the leaderboard and its tutorial."""
 
 import dataclasses
 import html
@@ -31,7 +31,7 @@ from baselines.evaluation.submission.files import (
     save_submission,
     submission_of,
 )
-from baselines.evaluation.submission.reproduction import chosen, chosen_cells, mismatches, smallest_caught
+from baselines.evaluation.submission.reproduction import chosen, chosen_cells, detectable_share, mismatches
 from baselines.evaluation.submission.scores import anchor_errors, entries
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError
@@ -45,7 +45,7 @@ PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 LINES = [line for language, text in BLOCKS if language == "bash" for line in text.splitlines()]
 QUICK = {"--episodes": "1", "--share": "1"}
-"""Options of the page's lines that are run with other values here."""
+"""Options of the commands on the page that have other values in this test."""
 CASES = ("slow-calm", "cruise-storm")
 
 
@@ -59,14 +59,14 @@ def suite():
 
 @pytest.fixture(scope="module")
 def rows(suite):
-    """What its anchors do in it, as if it was recorded."""
+    """The runs of the suite's anchors, with a date as if they were recorded."""
     when = Recorded("2026-01-31", versions())
     return tuple(dataclasses.replace(run, recorded=when) for run in run_all(suite.anchors, suite.cells))
 
 
 @pytest.fixture
 def small(suite, rows, tmp_path, monkeypatch):
-    """A place where the suite is that one, with the files of the page."""
+    """A folder with the files of the page, in which all suites are `suite`."""
     for module in (suites, request, files):
         monkeypatch.setattr(module, "load_suite", lambda _: suite)
     monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found(rows, {}))
@@ -78,7 +78,7 @@ def small(suite, rows, tmp_path, monkeypatch):
 
 @pytest.fixture
 def made(small, suite, rows):
-    """The expert's submission, and its file."""
+    """The submission of the expert, also written to expert.npz."""
     own = [dataclasses.replace(run, fingerprint="0" * 64) for run in rows if run.policy == EXPERT]
     made = submission_of(
         suite, own, "expert", About("Ada", "https://example.org/a", "The law."), versions(), "no command"
@@ -88,7 +88,7 @@ def made(small, suite, rows):
 
 
 def typed(line):
-    """Run a line of the page in its quick form and return the exit status."""
+    """Run a command of the page with the options `QUICK` and return the exit status."""
     words = shlex.split(line)
     for option, value in QUICK.items():
         if option in words:
@@ -104,8 +104,8 @@ def typed(line):
 
 
 @pytest.mark.usefixtures("small")
-def test_the_tutorial_leads_to_the_leaderboard(capsys):
-    """Its lines, one after the other: in the end the controller is on the page, with the scores of evaluate.py."""
+def test_commands_of_the_tutorial(capsys):
+    """After all commands the controller is on the leaderboard, with the scores of evaluate.py."""
     for line in LINES:
         assert typed(line) == DONE, line
     out = capsys.readouterr().out
@@ -128,7 +128,7 @@ def test_the_tutorial_leads_to_the_leaderboard(capsys):
 
 
 @pytest.mark.usefixtures("small")
-def test_an_agent_enters_in_its_speed_range_alone(suite, capsys):
+def test_submission_of_an_agent_has_its_speed_range_only(suite, capsys):
     policy = ["--policy", "apg-slow", "--submit", "mine", "--training-steps", "8e6", "--training-seconds", "300"]
     assert evaluate.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
     found = read_submission(Path("out/mine.npz"))
@@ -142,7 +142,7 @@ def test_an_agent_enters_in_its_speed_range_alone(suite, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         ("--submit a --scenario slow-calm --policy lqi", "needs a frozen suite"),
         ("--submit a --suite presets --policy lqi", "needs a frozen suite"),
@@ -157,21 +157,21 @@ def test_an_agent_enters_in_its_speed_range_alone(suite, capsys):
         ("--policy lqi --author Ada", "for --submit NAME"),
     ],
 )
-def test_what_cannot_be_submitted_is_refused_before_anything_runs(words, says, tmp_path, monkeypatch):
+def test_wrong_submissions_are_refused_before_episodes_run(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match=re.escape(says)):
+    with pytest.raises(UsageError, match=re.escape(message)):
         evaluate.main(shlex.split(words))
     assert not list(tmp_path.iterdir())
 
 
-def test_one_that_failed_is_not_submitted(small, capsys):
+def test_a_failed_policy_gives_no_submission(small, capsys):
     Path("late.py").write_text("class Law:\n    def predict(self, *_):\n        raise KeyError('x')\n")
     assert evaluate.main(["--policy", "late.py:Law", "--submit", "a", "--jobs", "1", "--out", "out"]) == FAILED
     assert "no submission: late.py:Law failed in slow-calm: KeyError" in capsys.readouterr().err
     assert not Path("out/a.npz").exists()
 
 
-def test_a_file_is_what_was_run(made):
+def test_a_file_has_the_results_of_the_runs(made):
     found = read_submission(Path("expert.npz"))
     assert (found.name, found.about, found.date) == ("expert", made.about, "2026-01-31")
     for old, new in zip(made.runs, found.runs, strict=True):
@@ -183,8 +183,8 @@ def test_a_file_is_what_was_run(made):
 
 
 @pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
-def test_scores_are_those_of_the_recorded_rows(name):
-    """The whole benchmark, through a file that is small enough, with the anchors of either suite."""
+def test_scores_of_files_equal_those_of_recorded_rows(name):
+    """For the whole benchmark, with the anchors of each suite."""
     suite = suites.load_suite(name)
     found = recorded.load_recorded(suite)
     kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
@@ -197,7 +197,7 @@ def test_scores_are_those_of_the_recorded_rows(name):
 
 
 def changed(made, arrays=(), **record):
-    """Write the submission with another record or other arrays; None leaves an entry out."""
+    """Write the submission with changes of its record or arrays; None deletes an entry."""
     stored = made.stored
     both = {**stored.record, **record}, {**stored.arrays, **dict(arrays)}
     write_stored(Path("bad.npz"), Stored(*({k: v for k, v in part.items() if v is not None} for part in both)))
@@ -215,7 +215,7 @@ WRONG = {
     "date": ({"date": "2026-02-30"}, {}, "day"),
     "versions": ({"versions": {"auv_gym": "<b>"}}, {}, "its auv_gym is"),
     "suite": ({"suite": "paper"}, {}, "its suite is 'paper'; there are"),
-    "hash": ({"suite_hash": "6" * 64}, {}, "it is of another benchmark-v2"),
+    "hash": ({"suite_hash": "6" * 64}, {}, "it is for another benchmark-v2"),
     "about": ({"about": {"email": "a"}}, {}, "must be a table with some of author"),
     "link": ({"about": {"link": "https://a)[b](c"}}, {}, "begins with https://"),
     "cells": ({"cells": ["slow-calm", "slow-storm"]}, {}, "its cells are not those of"),
@@ -231,19 +231,23 @@ WRONG = {
     "nan": ({}, {"steady_rmse": STEADY_RMSE * np.float32(np.nan)}, "its steady_rmse is not within [0, 1e+06]"),
     "negative": ({}, {"effort": -STEADY_RMSE}, "its effort is not within [0, 1]"),
     "far": ({}, {"steady_rmse": STEADY_RMSE + 35, "failed": np.zeros(6, dtype=bool)}, "the episode did not end"),
-    "wild": ({}, {"effort": STEADY_RMSE, "smoothness": STEADY_RMSE * 5}, "commands change by more than"),
+    "command rate": (
+        {},
+        {"effort": STEADY_RMSE, "smoothness": STEADY_RMSE * 5},
+        "the command rate is too large for the effort",
+    ),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_contradicts_itself_is_refused(case, made):
-    record, arrays, says = WRONG[case]
-    with pytest.raises(ValueError, match=re.escape(says)):
+def test_invalid_files_are_refused(case, made):
+    record, arrays, message = WRONG[case]
+    with pytest.raises(ValueError, match=re.escape(message)):
         read_submission(changed(made, arrays, **record))
     assert submit.main(["bad.npz"]) == FAILED
 
 
-def test_damaged_files_are_refused_whatever_is_wrong(made):
+def test_damaged_files_are_refused(made):
     whole, rng, file = Path("expert.npz").read_bytes(), np.random.default_rng(0), Path("a.npz")
     for i in range(120):
         data = bytearray(whole)
@@ -255,13 +259,13 @@ def test_damaged_files_are_refused_whatever_is_wrong(made):
             assert "a.npz is damaged" in str(error)  # noqa: PT017
 
 
-def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
+def test_large_files_and_pickles_are_refused(made, tmp_path):
     Path("long.npz").write_bytes(bytes(LARGEST_SUBMISSION + 1))
     with zipfile.ZipFile("bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("steady_rmse.npy", bytes(files.LARGEST_CONTENT + 1))
     np.savez("pickle.npz", record=np.array("{}"), steady_rmse=np.array([{}], dtype=object))
-    for name, says in (("long", "larger than"), ("bomb", "unpacked"), ("pickle", "allow_pickle")):
-        with pytest.raises(ValueError, match=says):
+    for name, message in (("long", "larger than"), ("bomb", "unpacked"), ("pickle", "allow_pickle")):
+        with pytest.raises(ValueError, match=message):
             read_submission(Path(f"{name}.npz"))
     big = dataclasses.replace(made, command="".join(map(chr, np.random.default_rng(0).integers(33, 126, 300_000))))
     with pytest.raises(ValueError, match="allowed are"):
@@ -270,7 +274,7 @@ def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
 
 
 @pytest.mark.parametrize(("measure", "by"), [("steady_rmse", 1.01), ("smoothness", 0.9), ("effort", 1.01)])
-def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
+def test_forged_results_are_printed_with_both_numbers(measure, by, made, capsys):
     values = made.stored.arrays[measure].copy()
     true = float(values[4])
     values[4] *= by
@@ -286,7 +290,7 @@ def test_another_policy_does_not_reproduce_it(made, capsys):
     assert submit.main(["expert.npz", "lqi", "--share", "1", "--jobs", "1"]) == FAILED
     captured = capsys.readouterr()
     assert "NOT REPRODUCED: 6 of 6" in captured.out
-    assert "lqi is not the policy that was submitted" in captured.err
+    assert "lqi is not the submitted policy" in captured.err
 
 
 def test_a_policy_that_fails_does_not_reproduce_it(made, capsys):
@@ -295,25 +299,25 @@ def test_a_policy_that_fails_does_not_reproduce_it(made, capsys):
     assert "late.py:Law fails in slow-calm: KeyError" in capsys.readouterr().err
 
 
-def test_which_episodes_run_again_is_chance(made):
+def test_the_choice_of_episodes_is_random(made):
     whole = own_submission_like(made, 200)
     a, b = chosen(whole, 0.05, 1), chosen(whole, 0.05, 2)
     assert {name: len(own) for name, own in a.items()} == dict.fromkeys(CASES, 10)
     assert any((a[name] != b[name]).any() for name in CASES)
     np.testing.assert_equal(a, chosen(whole, 0.05, 1))
     counts = sum(np.bincount(chosen(whole, 0.1, seed)["slow-calm"], minlength=200) for seed in range(500))
-    assert 15 < counts.min() <= counts.max() < 95  # each has 50 on average, with a deviation of 6.7
-    assert (1 - smallest_caught(208)) ** 208 == pytest.approx(0.05)
+    assert 15 < counts.min() <= counts.max() < 95  # mean 50, standard deviation 6.7
+    assert (1 - detectable_share(208)) ** 208 == pytest.approx(0.05)
 
 
 def own_submission_like(made, count):
-    """Return a submission with that many episodes in each cell."""
+    """Return a submission with `count` episodes in each cell."""
     runs = [dataclasses.replace(run, measures=run.measures[np.zeros(count, dtype=int)]) for run in made.runs]
     return dataclasses.replace(made, runs=tuple(runs))
 
 
-def test_numbers_on_the_edge(made, rows):
-    """Up to a thousandth and a little counts as the same, no more; whether an episode was lost counts to the letter."""
+def test_tolerances_of_reproduction(made, rows):
+    """The tolerance is 0.1 % plus a small constant; the flag of a failed episode must be equal."""
     episodes = chosen(made, 1.0, 0)
     again = [run for run in rows if run.policy == EXPERT]
     assert mismatches(made, episodes, again) == []
@@ -331,7 +335,7 @@ def test_numbers_on_the_edge(made, rows):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         ("leaderboard enter a b", "enter takes FILE"),
         ("leaderboard reproduce a", "reproduce takes FILE POLICY; given are 1 words"),
@@ -346,13 +350,13 @@ def test_numbers_on_the_edge(made, rows):
         ("submit expert.npz nobody", "unknown policy 'nobody'"),
     ],
 )
-def test_wrong_usage(words, says, made):
+def test_wrong_usage(words, message, made):
     name, *arguments = shlex.split(words)
-    with pytest.raises(UsageError, match=re.escape(says)):
+    with pytest.raises(UsageError, match=re.escape(message)):
         {"leaderboard": command, "submit": submit}[name].main(arguments)
 
 
-def test_an_entry_is_not_replaced_by_chance(made, capsys):
+def test_an_entry_is_replaced_only_with_the_option(made, capsys):
     arguments = ["enter", "expert.npz", "--out", "pages"]
     assert command.main(arguments) == DONE
     with pytest.raises(UsageError, match="is there already; choose another name, or --replace it"):
@@ -361,8 +365,8 @@ def test_an_entry_is_not_replaced_by_chance(made, capsys):
     assert "1 entries" in capsys.readouterr().out
 
 
-def test_only_the_policy_that_was_submitted_verifies(made, capsys):
-    """Another one that does the same does not, however many episodes it repeats."""
+def test_only_the_submitted_policy_verifies_an_entry(made, capsys):
+    """A policy with the same actions but another fingerprint does not, even if all episodes are equal."""
     assert command.main(["enter", "expert.npz", "--out", "pages"]) == DONE
     file = "leaderboard/benchmark-v2/expert.npz"
     assert command.main(["reproduce", file, EXPERT, "--share", "1", "--out", "pages", "--jobs", "1"]) == FAILED
@@ -376,7 +380,7 @@ def test_only_the_policy_that_was_submitted_verifies(made, capsys):
         command.main(["reproduce", file, EXPERT, "--seed", "3"])
 
 
-def test_what_was_verified_is_that_very_file(made):
+def test_a_verification_belongs_to_one_file(made):
     folder = Path("board")
     file = enter(made, folder)
     stamp(file, folder, 5, 6, 7)
@@ -392,7 +396,7 @@ def test_what_was_verified_is_that_very_file(made):
             boards(folder)
 
 
-def test_strays_on_the_leaderboard_are_named(made):
+def test_misplaced_files_on_the_leaderboard_are_reported(made):
     folder = Path("board")
     file = enter(made, folder)
     shutil.copy(file, file.with_name("other.npz"))
@@ -405,7 +409,7 @@ def test_strays_on_the_leaderboard_are_named(made):
         boards(folder)
 
 
-def test_words_of_strangers_are_no_markup():
+def test_texts_of_entries_are_escaped():
     for text in (
         "<script>alert(1)</script>",
         "a | b `c` *d* _e_ [f](g) ![h](i)",
@@ -417,14 +421,14 @@ def test_words_of_strangers_are_no_markup():
         ).replace('"', "&quot;")
 
 
-def test_scores_need_rows_that_count(made, monkeypatch):
+def test_scores_need_recorded_rows(made, monkeypatch):
     monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found((), {EXPERT: "they changed"}))
-    with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which scores need, do not count: they"):
+    with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which cannot be used: they"):
         anchor_errors(made.suite)
 
 
-def test_the_page_is_what_the_command_makes():
-    """If this fails after rows were recorded anew: `python -m research leaderboard own`."""
+def test_the_page_is_that_of_the_command():
+    """If this fails after a new recording of rows, run `python -m research leaderboard own`."""
     found = boards(ROOT / "leaderboard")
     assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == leaderboard_page(found)
     assert (ROOT / "docs" / command.TABLE).read_text(encoding="utf-8") == leaderboard_json(found)
@@ -433,7 +437,7 @@ def test_the_page_is_what_the_command_makes():
     assert set(command.OWN) <= set(found[0].verified)
 
 
-def test_own_entries_are_the_recorded_rows_as_they_are_now():
+def test_own_entries_equal_the_recorded_rows():
     for policy, file in command.own_files(ROOT / "leaderboard"):
         kept, now = read_submission(file), command.own_submission(command.SUITE, policy)
         assert kept.fingerprint == now.fingerprint

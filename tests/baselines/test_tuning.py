@@ -1,4 +1,4 @@
-"""The tuning command: its objective is the evaluation's error, its search improves, its files have a provenance."""
+"""The tuning command: its objective is the error of the evaluation, its search improves gains, files are complete."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.command import main
-from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
+from baselines.tuning.objective import TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import EVALUATIONS, POPULATION, TUNING_EPISODES, TUNING_SEED, VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
 
@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "gains"
 
 
-def test_objective_is_the_capped_tail_error_of_single_episodes():
+def test_objective_is_the_capped_steady_state_error_of_single_episodes():
     seed, policy = TUNING_SEED + 40, baselines.make_policy("backstepping")
     result = TuningEpisodes("cruise", 8, seed).run(policy)
     commands = []
@@ -53,48 +53,49 @@ def test_objective_is_the_capped_tail_error_of_single_episodes():
     assert result.smoothness == pytest.approx(np.mean(np.square(np.diff(commands, axis=1))), rel=1e-5)
 
 
-def test_policies_with_and_without_a_preview_run_the_same_course():
-    class Looking:
+def test_policies_with_and_without_a_preview_run_the_same_episodes():
+    class WithPreview:
         preview = (1, 20)
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             assert observation.shape == (8, SIZE + 4)
             return law.predict(observation)
 
-    course, law = TuningEpisodes("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
-    course.steps = 12
-    assert course.run(Looking()) == course.run(law) == course.run(Looking())
+    episodes, law = TuningEpisodes("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
+    episodes.steps = 12
+    assert episodes.run(WithPreview()) == episodes.run(law) == episodes.run(WithPreview())
 
 
-def test_half_of_the_adverse_course_is_the_adverse_storm():
-    names = [scenario.name for scenario in rewound_scenarios("slow", "adverse")]
-    assert names[: len(CASES)] == [scenario.name for scenario in rewound_scenarios("slow", "plain")]
+def test_half_of_the_adverse_episodes_are_storms_with_faults():
+    names = [scenario.name for scenario in tuning_scenarios("slow", "adverse")]
+    assert names[: len(CASES)] == [scenario.name for scenario in tuning_scenarios("slow", "plain")]
     assert names[len(CASES) :] == ["slow-adverse"] * len(CASES)
-    course, policy = TuningEpisodes("slow", 16, TUNING_SEED, "adverse"), baselines.make_policy("backstepping")
-    result = course.run(policy)
+    policy = baselines.make_policy("backstepping")
+    result = TuningEpisodes("slow", 16, TUNING_SEED, "adverse").run(policy)
     assert list(result.case_error_m) == [*CASES, "adverse"]
     cases = [result.case_error_m[case] for case in CASES]
     assert result.error_m == pytest.approx(0.5 * np.mean(cases) + 0.5 * result.case_error_m["adverse"])
     assert cases == list(TuningEpisodes("slow", 8, TUNING_SEED).run(policy).case_error_m.values())
 
 
-def test_lost_episodes_count_with_the_cap():
-    class Away:
+def test_failed_episodes_count_with_the_cap():
+    class Diverging:
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.tile(np.array([[1.0, 1.0]], np.float32), (len(observation), 1)), None
 
-    result = TuningEpisodes("slow", 8, TUNING_SEED).run(Away())
+    result = TuningEpisodes("slow", 8, TUNING_SEED).run(Diverging())
     assert (result.error_m, result.failed, result.smoothness) == (0.6, 1.0, 0.0)
 
 
-def courses(record):
-    def make(episodes, seed):
+def recording(record):
+    def draw(episodes, seed):
         record.append((episodes, seed))
         return TuningEpisodes("slow", episodes, seed)
 
-    return make
+    return draw
 
 
+@pytest.mark.slow
 def test_search_improves_within_its_evaluations_and_repeats():
     law, start, asked = TUNABLES["backstepping-tuned"], {name: getattr(GAINS["paper"], name) for name in LAW_GAINS}, []
     runs = []
@@ -104,18 +105,18 @@ def test_search_improves_within_its_evaluations_and_repeats():
         return law.factory(gains)
 
     budget = Budget(evaluations=36, episodes=16)
-    best = tune(factory, courses(asked), start, budget)
+    best = tune(factory, recording(asked), start, budget)
     assert list(best) == list(start)
-    assert len(runs) == 2 * POPULATION + 3  # of the run-off each counts as four, on four times the episodes
+    assert len(runs) == 2 * POPULATION + 3  # each of the final comparison has four times the episodes
     assert asked == [(16, TUNING_SEED + 16 * i) for i in range(2)] + [(64, TUNING_SEED + 32)]
     assert budget.last_seed == TUNING_SEED + 32 + 64
-    held_out = TuningEpisodes("slow", 32, VALIDATION_SEED)
-    assert held_out.run(law.factory(best)).error_m < held_out.run(law.factory(dict(start))).error_m
-    assert tune(law.factory, courses([]), start, budget) == best
+    validation = TuningEpisodes("slow", 32, VALIDATION_SEED)
+    assert validation.run(law.factory(best)).error_m < validation.run(law.factory(dict(start))).error_m
+    assert tune(law.factory, recording([]), start, budget) == best
 
 
-def test_everybody_has_the_same_budget():
-    """No gain file has fewer evaluations than another, but for the expert's sets, which say why."""
+def test_all_controllers_have_the_same_budget():
+    """All files of gains have the same number of evaluations, except the expert's, which state their origin."""
     spent = Budget()
     assert spent.generations * POPULATION + 12 == spent.evaluations == EVALUATIONS >= 300
     files = sorted(set(gain_files.GAINS_FOLDER.glob("*.json")) - {SETS})
@@ -151,7 +152,9 @@ def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monk
     assert main([*arguments[:-1], "0", "--resume"]) == DONE
     assert load_gains("integral", "slow", names) == pytest.approx(before["gains"])
     file.unlink()
-    with pytest.raises(UsageError, match=r'there are no gains in .*; write some to begin at, {"gains": ...}, then'):
+    with pytest.raises(
+        UsageError, match=r'the file of gains .* does not exist; write initial gains, {"gains": ...}, then'
+    ):
         main(arguments)
 
 
@@ -165,19 +168,19 @@ def test_every_controller_can_be_searched(folder, name, speed_range, monkeypatch
     assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
 
 
-def brief(course, policy, run=TuningEpisodes.run):
-    """Return what a policy does in the first three steps of a course."""
-    course.steps = 3
-    return run(course, policy)
+def brief(episodes, policy, run=TuningEpisodes.run):
+    """Return the results of the first three steps."""
+    episodes.steps = 3
+    return run(episodes, policy)
 
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["nobody"], "unknown controller 'nobody'; allowed are backstepping-tuned, "),
+        (["unknown"], "unknown controller 'unknown'; allowed are backstepping-tuned, "),
         (["lqi", "--episodes", "24"], "--episodes is 24; it must be a positive multiple of 16"),
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
-        (["lqi", "--episodes", "1600000"], "need seeds up to .* tuning episodes have them below 20000000"),
+        (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
         (["lqi", "--price", "2"], "--price is 2"),
         (["lqi", "--speed-range", "fast"], "speed-range"),
     ],

@@ -65,8 +65,8 @@ def test_factory_takes_options(example):
         ("broken.py:f", "broken.py cannot be imported: SyntaxError"),
         ("other.py:fails", "fails of other.py fails: KeyError"),
         ("other.py:number", "has no method predict"),
-        ("text.zip", "is no model of Stable-Baselines3"),
-        ("unknown.zip", "known are those of"),
+        ("text.zip", "is not a model of Stable-Baselines3"),
+        ("unknown.zip", "allowed are those of"),
     ],
 )
 def test_mistakes(example, name, says, tmp_path, capsys):
@@ -127,7 +127,7 @@ def test_zip_with_memory_remembers_what_its_model_does(models):
 
 
 def test_zip_of_another_task(models):
-    with pytest.raises(ValueError, match=r"takes observations \(3,\) and gives actions \(1,\)"):
+    with pytest.raises(ValueError, match=r"takes observations \(3,\) and returns actions \(1,\)"):
         make_policy(str(models / "pendulum.zip"))
 
 
@@ -165,7 +165,7 @@ def test_zip_sees_what_it_saw_in_training(models, tmp_path):
     np.testing.assert_allclose(make_policy(str(file)).predict(observation)[0], expected, rtol=1e-5)
     assert not np.allclose(expected, plain)
     assert fingerprint(str(file)) != before
-    assert "vecnormalize.pkl normalises" in caution(str(file))
+    assert "vecnormalize.pkl" in caution(str(file))
 
 
 def test_damaged_zips_are_named(models, tmp_path):
@@ -227,7 +227,7 @@ def agent_of(scenarios, expert="backstepping"):
     return Agent(network, zeros, expert, (0.5, 0.5), scenarios)
 
 
-def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, capsys):
+def test_the_folder_of_a_training_is_a_policy(tmp_path, monkeypatch, capsys):
     """An agent runs where it was not trained too, but not without a word."""
     monkeypatch.chdir(tmp_path)
     agent_of(("slow-calm", "slow-storm")).save("runs/mine/agent")
@@ -235,7 +235,7 @@ def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, ca
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
     assert rows[0]["steady_rmse_m"] == rows[1]["steady_rmse_m"]
-    note = "runs/mine was trained in slow motion, and not for cruise-calm"
+    note = "runs/mine was trained for slow scenarios, not for cruise-calm"
     assert note in capsys.readouterr().err
     assert note in Path("out/report.html").read_text()
     assert fingerprint("runs/mine") == fingerprint("runs/mine/agent") != ""
@@ -246,7 +246,7 @@ def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
     ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
     assert ran == {"slow"}
     assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
-    assert "apg-slow was trained in slow motion and runs in those cells alone" in request.notes
+    assert "apg-slow was trained for slow scenarios and runs in those only" in request.notes
     assert {len(cell.episodes) for _, cell in request.pairs} == {2}
 
 
@@ -266,7 +266,7 @@ def make_open_loop():
 """
 
 
-def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeypatch):
+def test_policies_get_the_nominal_vehicle_of_the_scenario(tmp_path, monkeypatch):
     """By name and as an agent's expert, made in the vehicle's own units, and from a file the law knows the vehicle."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BELIEVING)
@@ -291,7 +291,7 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
     assert residual.get_wrapper_attr("expert").policy.vehicle == in_paper_units(heavy)
 
 
-def test_an_expert_by_name_is_told_the_vehicle_that_all_know():
+def test_an_expert_by_name_gets_the_common_vehicle():
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
     one, other = PRESETS["cruise-calm"], changed(PRESETS["cruise-calm"], vehicle=heavy)
     assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)

@@ -1,4 +1,4 @@
-"""Where tasks run: the same results from this process and from worker processes; clear refusals."""
+"""Workers: equal results in this process and in worker processes, and messages for wrong options."""
 
 import sys
 
@@ -14,7 +14,7 @@ def power(base, exponent):
 
 
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
-def test_results_are_the_same_everywhere(workers):
+def test_results_are_the_same_for_any_number_of_workers(workers):
     tasks = [(base, exponent) for base in range(5) for exponent in range(3)]
     assert sorted(workers.results(power, tasks)) == sorted(power(*task) for task in tasks)
     assert list(workers.results(power, [])) == []
@@ -27,8 +27,8 @@ def test_workers_of_a_command_line():
         Workers.of(0)
 
 
-def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
+def test_arguments_with_invalid_characters_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
     assert run(evaluate.main, evaluate.PROGRAM) == 2
-    says = "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
-    assert capsys.readouterr().err == says
+    message = "evaluate.py: 'a\\udcff' contains characters that cannot be printed; leave them out\n"
+    assert capsys.readouterr().err == message

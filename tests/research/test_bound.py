@@ -1,4 +1,4 @@
-"""The bound on many episodes: what is counted is true, adds up over runs, and is of the policy as it is."""
+"""The full-information optimum in many episodes: counts are right, add up over runs, and belong to the policy."""
 
 import json
 from dataclasses import asdict, replace
@@ -11,27 +11,35 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import UsageError
 from research.lower_bounds import bound
-from research.lower_bounds.bound import OptimumCount, all_cases, counted, in_words, main, nearer, optimum_counts
+from research.lower_bounds.bound import (
+    OptimumCount,
+    all_cases,
+    better_policies,
+    main,
+    optimum_counts,
+    run_episodes,
+    summary_text,
+)
 from research.seeds import OPTIMUM
 
 SHORT = tuple(replace(PRESETS[name], steps=60) for name in ("slow-storm", "cruise-actuator"))
 
 
-def test_ten_thousand_episodes_and_none_lost():
-    """As they were counted with this policy: `optimum_counts` gives nothing where it has changed since."""
+def test_no_failure_in_ten_thousand_episodes():
+    """The record belongs to the present policy: otherwise `optimum_counts` returns {}."""
     counts = optimum_counts()
     assert set(counts) == {scenario.name for scenario in bound.SCENARIOS}
     every = all_cases(counts)
     assert every.episodes >= bound.OPTIMUM_EPISODES
     assert every.failed == 0
     assert every.largest_error_m < 0.1  # a vehicle that spins is metres away
-    assert nearer(counts) == []
-    assert f"0 of {every.episodes} episodes failed" in in_words(counts)
+    assert better_policies(counts) == []
+    assert f"0 of {every.episodes} episodes failed" in summary_text(counts)
 
 
-def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
+def test_a_run_continues_an_earlier_one(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bound, "SCENARIOS", SHORT)
-    monkeypatch.setattr(bound, "_AT_ONCE", 2)
+    monkeypatch.setattr(bound, "_BATCH", 2)
     file = tmp_path / "new" / "bound.json"
     assert main(["--episodes", "6", "--out", str(file)]) == 0
     assert main(["--episodes", "10", "--out", str(file)]) == 0
@@ -46,8 +54,8 @@ def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
     assert optimum_counts(file) == {}
 
 
-def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
-    """The planned forces alone in the bound's place; a solution counts as astray from a nanometre on."""
+def test_a_better_policy_and_wrong_usage_are_reported(tmp_path, monkeypatch, capsys):
+    """The planned forces without feedback replace the optimum, and an error of a nanometre is not small."""
     monkeypatch.setattr(bound, "SCENARIOS", SHORT[:1])
     monkeypatch.setattr(bound, "GOOD", 1e-9)
     worse = {"clairvoyant": "open-loop"}
@@ -59,7 +67,7 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
     assert [own["seed"] for own in count.astray] == [OPTIMUM.first, OPTIMUM.first + 1]
     for text in ("[]", '{"cases": {"slow-storm": {"tea": 1, "astray": []}}, "fingerprint": ""}', "{}"):
         file.write_text(text)
-        with pytest.raises(UsageError, match="does not hold what"):
+        with pytest.raises(UsageError, match="was not written by"):
             main(["--out", str(file)])
     for arguments in (["--episodes", "0"], ["--episodes", str(10**12)]):
         with pytest.raises(UsageError, match="must be in"):
@@ -70,4 +78,4 @@ def test_counts_add_up():
     one, two = OptimumCount(2, 1, 0.5, 0.4, 0.6, ({"seed": 1},)), OptimumCount(3, 0, 0.1, 0.05, 0.7)
     assert one.with_more(two) == OptimumCount(5, 1, 0.6, 0.4, 0.7, ({"seed": 1},))
     assert json.loads(json.dumps(asdict(one)))["failed"] == 1
-    assert counted(SHORT[0], 3, 1).episodes == 1
+    assert run_episodes(SHORT[0], 3, 1).episodes == 1

@@ -1,4 +1,4 @@
-"""Held-out episodes are new ones, and the recorded rows of them are what the policies do."""
+"""Held-out episodes are in no suite, and the recorded rows of policies on them are reproduced."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def anew():
+def results_of_all():
     return held_out_results()
 
 
@@ -27,7 +27,7 @@ def test_upper_bound_is_the_rule_of_three():
     assert failure_bound(5, 5) == 1.0
 
 
-def test_fresh_episodes_are_those_of_no_suite():
+def test_held_out_episodes_are_in_no_suite():
     suite, frozen = held_out.held_out("benchmark-v2", 3, ["slow-storm"]), suites.load_suite("benchmark-v1")
     known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
     (cell,) = suite.cells
@@ -38,15 +38,15 @@ def test_fresh_episodes_are_those_of_no_suite():
 
 
 @pytest.mark.parametrize("policy", ["backstepping", "apg-cruise", "apg-preview-cruise"])
-def test_kept_rows_are_what_the_policies_do(anew, policy):
-    results = next(r for r in anew if r.suite.name == "benchmark-v2")
+def test_recorded_rows_are_reproduced(results_of_all, policy):
+    results = next(r for r in results_of_all if r.suite.name == "benchmark-v2")
     kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
     (cell,) = held_out.held_out("benchmark-v2", 2, ["cruise-storm"]).cells
     again = Task(policy, cell.scenario, cell.episodes).run()[1].rollout
     np.testing.assert_allclose(again.measures.steady_rmse, kept.measures.steady_rmse[:2], rtol=1e-4)
 
 
-def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
+def test_rows_that_the_command_keeps_can_be_loaded(tmp_path, capsys):
     words = "--suite benchmark-v2 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
     assert held_out.main([*words.split(), str(tmp_path)]) == 0
     assert capsys.readouterr().out == "benchmark-v2: open-loop, 2 episodes\n"
@@ -58,7 +58,7 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policy", "nobody"], "unknown policy 'nobody'; allowed are backstepping"),
+        (["--policy", "tea"], "unknown policy 'tea'; allowed are backstepping"),
         (["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v2, unmodelled-v1"),
         (
             ["--case", "slow-tea", "--suite", "benchmark-v2"],
@@ -67,13 +67,13 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
         (["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
     ],
 )
-def test_mistakes_are_refused(arguments, message):
+def test_wrong_usage(arguments, message):
     with pytest.raises(UsageError, match=message):
         held_out.main(arguments)
 
 
-def test_the_words_of_the_page_and_of_the_readme_are_true():
-    """`helm` leads `nmpc` in both speed ranges beyond chance and by what README says; no agent leads `nmpc-adverse`."""
+def test_the_sentences_of_the_page_and_of_the_readme_are_true():
+    """`helm` has a significant lead over `nmpc`, as in the README; no agent has a lead over `nmpc-adverse`."""
     leads = {suite: rows for suite, (_, rows) in context()["leads"].items()}
     rows = {suite: [line.strip("| ").split(" | ") for line in text.splitlines()[2:]] for suite, text in leads.items()}
     own = {row[0]: row for row in rows["benchmark-v2"]}

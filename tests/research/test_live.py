@@ -1,4 +1,4 @@
-"""The live page in a browser: its numbers are those of Python over whole episodes, its controls do what they say."""
+"""The live page in a browser: its numbers agree with Python over whole episodes, and its controls work."""
 
 import json
 from pathlib import Path
@@ -11,9 +11,9 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios import exogenous
-from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, Tape
+from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
-from auv_gym.task.simulation import SAMPLE_ROWS
+from auv_gym.task.simulation import REFERENCE, SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
 from research.deployment.players import HeaderPolicy
@@ -24,7 +24,7 @@ from research.site.live.page import LARGEST_PAGE, links, write_page
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The page as it is published."""
+    """Return the folder of the published page."""
     made = tmp_path_factory.mktemp("live")
     write_page(made)
     return made
@@ -32,14 +32,14 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def bench(browser, folder, tmp_path_factory):
-    """A page with the equations alone."""
+    """Return an open page with the equations and without controls."""
     with opened(browser, bare(folder, tmp_path_factory.mktemp("bench"))) as page:
         yield page
 
 
 @pytest.fixture(scope="module")
 def bench_with_filters(browser, tmp_path_factory):
-    """The same of a page on which `helm` takes the places of the other agents."""
+    """Return an open page with the equations, with `helm` in place of the other agents."""
     made = tmp_path_factory.mktemp("filters")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live_page, "page_agents", lambda: dict.fromkeys(("apg slow", "apg cruise"), exported("helm")))
@@ -49,7 +49,7 @@ def bench_with_filters(browser, tmp_path_factory):
 
 
 def bare(scripts, folder):
-    """Return a file in a folder: a page with the equations of another folder alone."""
+    """Write a page with the equations of another folder, without controls, into a folder and return its file."""
     names = ("equations.js", "data.js", "engine.js")
     tags = "".join(f'<script src="{(scripts / name).as_uri()}"></script>' for name in names)
     file = folder / "bench.html"
@@ -58,7 +58,7 @@ def bare(scripts, folder):
 
 
 def episode_in_python(policy, speed_range, family, case, seed=1):
-    """Return samples, parameters, first state, and what a policy does in an episode of the page's: a row each step."""
+    """Return samples, parameters, initial state, and the rows of all steps of a policy in an episode of the page."""
     path = path_of(speed_range, family)
     scenario, episode = scenario_of(speed_range, case, path), episode_of(speed_range, case, path, seed)
     env = UnderactuatedAUVTrackEnv(scenario, preview=getattr(policy, "preview", ()))
@@ -77,49 +77,49 @@ def episode_in_python(policy, speed_range, family, case, seed=1):
 
 
 def differences(bench, page_name, policy, speed_range, family, case):
-    """Return how far the page is from a policy in Python in an episode with the same samples, by what is compared."""
+    """Return the largest differences between the page and Python in an episode with the same samples, by quantity."""
     samples, parameters, state, expected = episode_in_python(policy, speed_range, family, case)
     found = bench.evaluate(
         "given => ENGINE.replay(...given)", [page_name, speed_range, family, samples, parameters, state]
     )
-    assert len(expected) > (60 if page_name == "openLoop" else LIVE_STEPS - 1)  # which may be lost
+    assert len(expected) > (60 if page_name == "openLoop" else LIVE_STEPS - 1)  # open loop may fail
     return np.abs(np.array(found)[: len(expected)] - expected).max(axis=0)
 
 
 LAWS = {"backstepping": "backstepping", "openLoop": "open-loop", "ekf": "ekf"}
-"""Laws by what the page calls them."""
+"""Control laws by their names on the page."""
 AGENTS = {"apg": "apg-{}", "apgPreview": "apg-preview-{}"}
-"""Agents by what the page calls them, with the regime's place."""
+"""Agents by their names on the page, with a placeholder for the speed range."""
 EPISODES = (("slow", "figure_eight", "storm"), ("cruise", "random_smooth", "actuator"), ("cruise", "sine", "mismatch"))
 
 
 @pytest.mark.parametrize(("speed_range", "family", "case"), EPISODES)
 @pytest.mark.parametrize("page_name", LAWS)
-def test_laws_and_filter_are_those_of_python_over_whole_episodes(bench, page_name, speed_range, family, case):
+def test_laws_and_filter_agree_with_python_over_whole_episodes(bench, page_name, speed_range, family, case):
     assert differences(bench, page_name, make_policy(LAWS[page_name]), speed_range, family, case).max() < 1e-9
 
 
 @pytest.mark.parametrize(("speed_range", "family"), [("slow", "circle"), ("cruise", "line")])
 @pytest.mark.parametrize("page_name", AGENTS)
-def test_agents_are_those_of_python_over_whole_episodes(bench, page_name, speed_range, family):
+def test_agents_agree_with_python_over_whole_episodes(bench, page_name, speed_range, family):
     policy = make_policy(AGENTS[page_name].format(speed_range))
     assert differences(bench, page_name, policy, speed_range, family, "storm").max() < 1e-9
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_filters_are_those_of_python_over_a_whole_episode(bench_with_filters, speed_range):
+def test_filters_agree_with_python_over_a_whole_episode(bench_with_filters, speed_range):
     assert differences(bench_with_filters, "apg", make_policy("helm"), speed_range, "circle", "storm").max() < 1e-8
 
 
 @pytest.mark.parametrize("name", ["apg-slow", "apg-preview-cruise"])
-def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(bench, monkeypatch, name):
-    """Without noise to round away, an agent that feeds its last correction back may make 1e-16 grow to 1e-7."""
+def test_agents_agree_with_the_c_header_if_they_amplify_rounding_errors(bench, monkeypatch, name):
+    """Without noise, an agent whose input has its last correction can amplify a difference of 1e-16 to 1e-7."""
     page_name, speed_range = ("apgPreview" if "preview" in name else "apg"), name.rpartition("-")[2]
-    places = [2, 3, 4, -1]  # x, y, psi, and the position's error
+    places = [2, 3, 4, -1]  # x, y, psi, and the position error
     assert differences(bench, page_name, make_policy(name), speed_range, "sine", "waves")[places].max() < 1e-6
     if native.compiler() is None or not native.wanted():
         pytest.skip("a header runs compiled")
-    monkeypatch.setattr(native, "TUNED", ())  # for this processor, gcc may merge products and sums after all
+    monkeypatch.setattr(native, "TUNED", ())  # with these options gcc may use fused multiply-add
     native.library.cache_clear()
     policy = HeaderPolicy(exported(name), "float64")
     native.library.cache_clear()
@@ -127,28 +127,34 @@ def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(b
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_the_pages_sea_is_that_of_the_tape(bench, speed_range, monkeypatch):
+def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_range, monkeypatch):
     path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
-    monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same chance for both
-    tape = Tape(1, LIVE_STEPS + 1)
-    tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
+    monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same random numbers for both
+    inputs = ExogenousInputs(1, LIVE_STEPS + 1)
+    inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
+    expected = inputs.read((0,), LIVE_STEPS + 1)[:, REFERENCE.stop :, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
     }"""
-    given = [tape._weather[0].tolist(), tape._waves[0].ravel().tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
+    given = [
+        inputs._weather[0].tolist(),
+        inputs._waves[0].ravel().tolist(),
+        normals.tolist(),
+        SAMPLE_ROWS - 8,
+        GUST_ROWS,
+    ]
     given[0] = np.nan_to_num(given[0], posinf=1e300).tolist()
     assert np.abs(np.array(bench.evaluate(run, given)) - expected).max() < 1e-9
 
 
-def test_the_page_draws_its_own_sea_from_a_seed(bench):
-    run = """([speedRange, seed, loud]) => {
+def test_the_page_draws_its_disturbances_from_a_seed(bench):
+    run = """([speedRange, seed, noise]) => {
         const path = DATA.speed_ranges[speedRange].paths.line, reference = ENGINE.referenceOf(path);
-        const settings = { current: 0.2, direction: 1, gusts: 0.1, waves: 1, noise: loud };
+        const settings = { current: 0.2, direction: 1, gusts: 0.1, waves: 1, noise };
         const sea = ENGINE.seaOf(DATA.speed_ranges[speedRange], path, seed, settings);
         return Array.from({ length: 600 }, (_, k) => [...sea.next(reference.row(k))]);
     }"""
@@ -164,7 +170,7 @@ def test_the_page_draws_its_own_sea_from_a_seed(bench):
     assert not still[:, 13:19].any()
 
 
-def test_presets_on_the_page_are_those_of_the_package(bench):
+def test_presets_of_the_page_agree_with_the_package(bench):
     cases = bench.evaluate("DATA.speed_ranges.cruise.cases")
     assert cases["calm"] == {"current": 0, "gust": 0, "waves": 0, "noise": 0, "mismatch": False, "actuator": False}
     assert cases["storm"]["waves"] == pytest.approx(0.6)
@@ -185,7 +191,7 @@ def error_of(page, name):
     return page.evaluate("n => PAGE.run.vehicles.find((v) => v.name === n).points.at(-1)[1]", name)
 
 
-def test_dragging_raises_the_error_and_controllers_bring_it_down(live):
+def test_dragging_increases_the_error_and_controllers_reduce_it(live):
     live.get_by_role("button", name="Calm").click()
     live.get_by_role("button", name="8\u00d7").click()
     live.wait_for_function("PAGE.run.k > 150")
@@ -206,7 +212,7 @@ def test_dragging_raises_the_error_and_controllers_bring_it_down(live):
     assert live.locator("#hint").get_attribute("class") == "gone"
 
 
-def test_controls_choose_and_the_keyboard_works(live):
+def test_controls_and_keyboard(live):
     live.get_by_role("button", name="Storm").click()
     assert live.locator("#slider-waves").input_value() == "0.6"
     assert live.locator("#toggle-mismatch").is_checked()
@@ -234,7 +240,7 @@ def test_controls_choose_and_the_keyboard_works(live):
     assert live.evaluate("PAGE.run.k") == 0
 
 
-def test_it_fits_a_telephone_and_a_finger_drags(browser, folder, capsys):
+def test_page_on_a_telephone(browser, folder, capsys):
     with opened(browser, folder / "index.html", 390, 844, mobile=True) as page:
         page.wait_for_function("PAGE.stats.frames > 30")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -254,7 +260,7 @@ def test_it_fits_a_telephone_and_a_finger_drags(browser, folder, capsys):
         print(f"\na frame of the live page takes {mean:.1f} ms, at most {stats['slowest']:.0f} ms")
 
 
-def test_all_files_are_small_and_ask_for_nothing(folder):
+def test_files_are_small_and_need_no_network(folder):
     files = {file.name: file.stat().st_size for file in folder.iterdir()}
     assert set(files) == {"index.html", "live.css", "equations.js", "data.js", "engine.js", "drawing.js", "page.js"}
     assert sum(files.values()) < LARGEST_PAGE

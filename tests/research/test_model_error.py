@@ -1,4 +1,4 @@
-"""Sensitivity to model error: the wrong models, what they cost, the command and its records."""
+"""Sensitivity to model error: the wrong models, the loss of score, the command and its records."""
 
 import json
 
@@ -13,17 +13,18 @@ from research.robustness import model_error
 
 
 def test_wrong_models_are_wrong_in_their_parameters_and_within_their_size():
-    """Shares are spread over what there is; what `ratios` leaves right is right; each model has mistakes of its own."""
-    drawn = [model_error.mistakes(k) for k in range(40)]
+    """Errors cover the whole range; `ratios` leaves m11 and m33 correct; each model has its own errors."""
+    drawn = [model_error.model_errors(k) for k in range(40)]
     assert all(abs(share) <= 1 for own in drawn for share in own.values())
     assert min(own["d11"] for own in drawn) < -0.9
     assert max(own["d11"] for own in drawn) > 0.9
-    by = {name: model_error.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in model_error.WAYS.items()}
+    sets = model_error.PARAMETER_SETS
+    by = {name: model_error.wrong_model(PAPER_VEHICLE, drawn[0], 0.6, wrong) for name, wrong in sets.items()}
     assert (by["ratios"].m11, by["ratios"].m33, by["ratios"].speed) == (215, 80, PAPER_VEHICLE.speed)
     assert by["all"].m33 / 80 - 1 == pytest.approx(0.6 * drawn[0]["m33"])
     assert by["all"].d22 == by["ratios"].d22 == pytest.approx(100 * (1 + 0.6 * drawn[0]["d22"]))
-    assert model_error.wrong(PAPER_VEHICLE, drawn[0], 0.0, model_error.WAYS["all"]) == PAPER_VEHICLE
-    assert model_error.mistakes(3) == drawn[3] != drawn[4]
+    assert model_error.wrong_model(PAPER_VEHICLE, drawn[0], 0.0, sets["all"]) == PAPER_VEHICLE
+    assert model_error.model_errors(3) == drawn[3] != drawn[4]
 
 
 @pytest.fixture
@@ -36,12 +37,12 @@ def few(monkeypatch):
 
 
 def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
-    """The plan's own forces depend on no model; the paper's law cancels what its model says."""
+    """The planned forces do not depend on the given model; the paper's law cancels terms of its model."""
     without = model_error.with_wrong_models("open-loop", "cruise", 6)
     assert without["wrong"]["ratios"][0]["above"] == [0, 0, 0]
     assert without["wrong"]["ratios"][0]["error_m"] == without["right"]["error_m"]
     found = model_error.with_wrong_models("backstepping", "cruise", 6)
-    assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the suite's own zero, run again
+    assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the anchor of score 0, run again
     for rows in found["wrong"].values():
         mean, low, high = rows[0]["above"]
         assert low <= mean <= high
@@ -79,16 +80,16 @@ def test_wrong_usage(arguments, says, capsys):
     assert error.count("\n") == 1
 
 
-def test_kept_errors_of_wrong_models_are_those_of_today():
+def test_recorded_errors_are_reproduced():
     """Three episodes in still water, with the true model and the first wrong one."""
     kept = read_json(model_error.MODEL_ERROR_FOLDER / "helm-any.json")["cruise"]
     cell = model_error.cells_of("cruise", model_error.KEPT_EPISODES)[0]
-    way, size = model_error.WAYS["ratios"], model_error.ERROR_SIZES[-1]
-    first = model_error.wrong(cell.scenario.vehicle, model_error.mistakes(0), size, way)
-    there = SideBySide([cell])
+    wrong, size = model_error.PARAMETER_SETS["ratios"], model_error.ERROR_SIZES[-1]
+    first = model_error.wrong_model(cell.scenario.vehicle, model_error.model_errors(0), size, wrong)
+    episodes = SideBySide([cell])
     for vehicle, errors in (
         (cell.scenario.vehicle, kept["right"]["first_m"][0]),
         (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
     ):
-        steady_rmses = there.run(model_error.acting("helm-any", vehicle))[0].steady_rmse
+        steady_rmses = episodes.run(model_error.policy_with("helm-any", vehicle))[0].steady_rmse
         np.testing.assert_allclose(steady_rmses, errors, rtol=1e-2, atol=1e-5)

@@ -1,4 +1,4 @@
-"""The paper, recomputed: every number that the report prints, against values derived independently."""
+"""The recomputed paper: every printed number against values that were derived independently."""
 
 import json
 import math
@@ -53,7 +53,7 @@ NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_trackin
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory):
-    """The folder of the recomputed paper."""
+    """Return the folder of the recomputed paper."""
     out = tmp_path_factory.mktemp("paper")
     assert main(["--out", str(out)]) == 0
     return out
@@ -104,7 +104,7 @@ def test_number(measured, quantity, value, tolerance):
     assert measured[quantity] == pytest.approx(value, abs=tolerance)
 
 
-def test_only_what_is_known_to_be_off_disagrees(reproduction):
+def test_only_two_numbers_disagree(reproduction):
     off = [row["quantity"] for row in reproduction["rows"] if row["agrees"] is False]
     assert off == ["yaw torque F_rR", "floor of the heading error"]
     torque = next(row for row in reproduction["rows"] if row["quantity"] == "yaw torque F_rR")
@@ -128,7 +128,7 @@ def test_remarks_on_the_printed_equations(measured):
     assert measured["width of the interval for k_2"] == 0
 
 
-def test_figures_are_pictures(paper):
+def test_figures_are_png_files(paper):
     for name in NAMES:
         assert (paper / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
@@ -152,7 +152,7 @@ def test_stability_does_not_depend_on_the_side_of_the_turn():
 
 
 def test_lateral_eigenvalues_are_roots_of_the_characteristic_polynomial():
-    """On a straight line the surge part decouples and the lateral one has the closed form of a quartic."""
+    """On a straight line surge decouples, and the lateral motion has a characteristic polynomial of degree 4."""
     gains, v, U = GAINS["paper"], PAPER_VEHICLE, 0.2
     g, d, kap = v.m11 * U / v.m22, v.d22 / v.m22, gains.k + gains.k1
     C = gains.c + gains.kc * (gains.cr * g) ** 2
@@ -165,7 +165,7 @@ def test_lateral_eigenvalues_are_roots_of_the_characteristic_polynomial():
     assert max(np.abs(found - root).min() for root in expected) < 1e-6
 
 
-def test_derived_sign_is_a_saddle_wherever_it_is_tried():
+def test_with_the_derived_sign_straight_lines_are_a_saddle():
     for U in np.geomspace(0.02, 2.0, 15):
         assert spectral_abscissa(PAPER_VEHICLE, GAINS["paper"], U, 0.0, derived_sign_forces) > 0
 
@@ -185,8 +185,8 @@ def shown(value):
     return "-" if value is None else f"{value:.4g}"
 
 
-def test_page_about_the_paper_is_what_is_recomputed(paper):
-    """Its tables stand behind comments that name them."""
+def test_page_about_the_paper_has_the_recomputed_tables(paper):
+    """Each table of the page follows a comment with its name."""
     page = ROOT / "docs" / "paper.md"
     found = json.loads((paper / "paper.json").read_text(encoding="utf-8"))
     verdict = {True: "yes", False: "no", None: "-"}

@@ -1,4 +1,4 @@
-"""The pages of results and the README say what the recorded rows say; the oracle is the best."""
+"""The pages of results and the README agree with the recorded rows."""
 
 import json
 import re
@@ -14,13 +14,13 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
 from baselines.evaluation.score import error_cap, has_failed
 from research import pages
-from research.lower_bounds.floor.command import floor_of, recorded_floors
+from research.lower_bounds.estimation.command import episode_errors, recorded_bounds
 from research.results import collection, overview
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.transfer.comparison import TRANSFER_FILE
 
 ROOT = Path(__file__).parents[2]
-AGENT = "helm"  # the one that the README shows
+AGENT = "helm"  # the agent of the README
 WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 
@@ -39,41 +39,41 @@ def test_every_policy_is_there(benchmark):
     assert {run.recorded.versions["auv_gym"] for run in benchmark.runs} == {"0.1.0"}
 
 
-def test_the_oracle_is_the_best_of_all(suites):
+def test_the_oracle_has_the_smallest_error(suites):
     for entry in (entry for entry, _ in suites.values() if entry is not None):
         worst = max((gain for *_, gain in better_than("oracle", entry)), default=0.0)
         assert worst < TOLERANCE[entry.suite.name]
 
 
-def test_nobody_is_better_than_the_bound(suites):
-    """In the mean of any case of any suite, beyond the tolerance to which it is solved."""
+def test_no_policy_is_better_than_the_full_information_optimum(suites):
+    """In the mean of each case of each suite, within the tolerance of the solver."""
     for entry in (entry for entry, _ in suites.values() if entry is not None):
         assert "clairvoyant" in entry.policies
         worst = max((gain for *_, gain in better_than("clairvoyant", entry)), default=0.0)
         assert worst < ROUNDING
 
 
-def test_nobody_is_below_the_floor(benchmark):
-    """No policy that has to measure, in the mean of any case with noise; by the files alone."""
-    floors = recorded_floors(benchmark.suite.source[1])
-    assert set(floors) == {f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in ("noise", "storm")}
-    for case, floor in floors.items():
-        assert floor.episodes == 260
+def test_no_policy_with_measurements_is_below_the_estimation_lower_bound(benchmark):
+    """In the mean of each case with noise, from the files."""
+    bounds = recorded_bounds(benchmark.suite.source[1])
+    assert set(bounds) == {f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in ("noise", "storm")}
+    for case, bound in bounds.items():
+        assert bound.episodes == 260
         steady_rmses = {policy: own[case] for policy, own in benchmark.steady_rmses.items() if case in own}
-        below = {policy for policy, steady_rmse in steady_rmses.items() if steady_rmse < floor.steady_rmse_m}
-        assert below == {"oracle", "clairvoyant"}  # they measure nothing
-        assert floor.steady_rmse_m < floor.rms_m < 1.06 * floor.steady_rmse_m
+        below = {policy for policy, steady_rmse in steady_rmses.items() if steady_rmse < bound.steady_rmse_m}
+        assert below == {"oracle", "clairvoyant"}  # they need no measurements
+        assert bound.steady_rmse_m < bound.rms_m < 1.06 * bound.steady_rmse_m
 
 
-def test_the_floor_of_single_episodes_is_what_is_kept(benchmark):
+def test_recorded_bounds_of_single_episodes_are_reproduced(benchmark):
     cell = next(cell for cell in benchmark.suite.cells if cell.scenario.name == "cruise-noise")
-    floor = recorded_floors(benchmark.suite.source[1])["cruise-noise"]
-    again = floor_of(cell.scenario, cell.episodes[: len(floor.first_m)])
-    np.testing.assert_allclose(again.steady_rmse, floor.first_m, rtol=1e-3)
+    bound = recorded_bounds(benchmark.suite.source[1])["cruise-noise"]
+    found = episode_errors(cell.scenario, cell.episodes[: len(bound.first_m)])
+    np.testing.assert_allclose(found.steady_rmse, bound.first_m, rtol=1e-3)
 
 
 def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
-    """The first columns of docs/results.md, times of a decision at cruise, and the minutes of the agent's card."""
+    """The first columns of docs/results.md, the times of a decision at cruise, and the training time of the agent."""
     rows = overview.context()["rows"]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = re.findall(r"^\| (`\S+`) \| (.*) \|$", readme, re.MULTILINE)
@@ -88,7 +88,7 @@ def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
 
 
 def test_the_limitations_of_the_readme_are_measured(suites):
-    """The agent fails only where the expert fails; on the REMUS 100 line-of-sight control has the smallest errors."""
+    """The agent fails only if the expert fails; on the REMUS 100 line-of-sight control has the smallest errors."""
     episodes = 0
     for name in ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1"):
         runs = {(run.policy, run.scenario.name): run.measures for run in suites[name][0].runs}
@@ -107,8 +107,8 @@ def test_the_limitations_of_the_readme_are_measured(suites):
     assert f"{best['plane_m']:.3g} m in the plane and {best['space_m']:.3g} m in six degrees of freedom" in readme
 
 
-def test_figures_of_the_table_by_hand(benchmark):
-    """One row, from its rows, without the functions that make the page."""
+def test_numbers_of_the_table_by_hand(benchmark):
+    """One row of a page, from the file and without the functions that make the page."""
     cells = [i for i, cell in enumerate(benchmark.suite.cells) if cell.scenario.name.startswith("cruise-")]
     folder = ROOT / "baselines/evaluation/data/recorded/benchmark-v1"
     raw = {p: np.load(folder / f"{p}.npz") for p in ("ekf", "backstepping")}
@@ -128,7 +128,7 @@ def test_figures_of_the_table_by_hand(benchmark):
     assert scores == sorted(scores, reverse=True)
 
 
-def test_an_oracle_that_is_worse_is_found(benchmark):
+def test_a_worse_oracle_is_detected(benchmark):
     runs = [
         replace(run, measures=replace(run.measures, steady_rmse=run.measures.steady_rmse + 1.0))
         if run.policy == "oracle"
@@ -148,10 +148,9 @@ def test_a_suite_without_the_oracle_is_missing(monkeypatch):
 
 
 def test_the_summary_is_the_mean_of_the_rows():
-    """One row, from its file."""
-    steady_rmses = (
-        np.load(found(recorded.RECORDED_FOLDER, "benchmark-v1/nmpc.npz"))["measures"][1].astype(float).reshape(2, -1)
-    )
+    """One row of the page, from the file."""
+    measures = np.load(found(recorded.RECORDED_FOLDER, "benchmark-v1/nmpc.npz"))["measures"]
+    steady_rmses = measures[1].astype(float).reshape(2, -1)
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     cells = re.search(r"^\| `nmpc` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
     assert [cell.split(" (")[0] for cell in cells[:2]] == [
@@ -159,6 +158,7 @@ def test_the_summary_is_the_mean_of_the_rows():
     ]
 
 
+@pytest.mark.slow
 def test_pages_are_short_and_up_to_date(capsys):
     assert pages.main(["--check"]) == 0, "run `make pages`"
     for page in (page for page in pages.PAGES if page.startswith("results")):
@@ -168,16 +168,15 @@ def test_pages_are_short_and_up_to_date(capsys):
 
 
 def test_a_stale_page_is_named_and_written(tmp_path, capsys):
-    (tmp_path / "results").mkdir()
-    (tmp_path / "results" / "learning.md").write_text("old")
-    assert pages.main(["results/learning", "--check", "--out", str(tmp_path)]) == 1
-    assert capsys.readouterr().out == "stale: results/learning\n"
-    assert pages.main(["results/learning", "--out", str(tmp_path)]) == 0
-    assert pages.main(["results/learning", "--check", "--out", str(tmp_path)]) == 0
+    (tmp_path / "safety.md").write_text("old")
+    assert pages.main(["safety", "--check", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().out == "stale: safety\n"
+    assert pages.main(["safety", "--out", str(tmp_path)]) == 0
+    assert pages.main(["safety", "--check", "--out", str(tmp_path)]) == 0
 
 
-def test_the_words_of_the_summary_are_true():
-    """Where `helm` does not lead, by the mean of the rows; and that the policies of the table do not pass a bound."""
+def test_the_sentences_of_the_summary_are_true():
+    """The suites in which `helm` does not lead, and the errors of the table, which are above the lower bounds."""
     unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v1"))
 
     def mean(results, policy, speed_range):

@@ -1,4 +1,4 @@
-"""Sealed suites: nobody knows their episodes before the secret is out, and their worlds lie outside of training."""
+"""Sealed suites: their episodes need the secret, and their scenarios are outside the training distributions."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ from research.suites.command import main
 
 @pytest.fixture
 def empty(monkeypatch, tmp_path):
-    """No seal, and a folder for suites."""
+    """Use a file without seals and return a folder for suites."""
     file = tmp_path / "seals.json"
     file.write_text("{}")
     monkeypatch.setattr(sealed, "SEALS", file)
@@ -49,7 +49,7 @@ def test_a_seal_is_not_replaced(empty):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["seal", "ood-v1"], "not a suite that is sealed"),
+        (["seal", "ood-v1"], "not a sealed suite"),
         (["open", "sealed-v1"], "needs --secret"),
         (["check", "ood-v1", "--secret", "x"], "no other action"),
         (["open", "sealed-v1", "--secret", "x"], "has no seal"),
@@ -66,25 +66,25 @@ def test_without_a_seal_there_is_no_seed(empty):
         builder.build("sealed-v1")
 
 
-def test_secrets_stand_for_seeds_of_their_own():
+def test_secrets_have_different_seeds():
     assert sealed.seed_of("a") != sealed.seed_of("b")
     assert 0 <= sealed.seed_of("a") < 2**64
 
 
 def slew_time(scenario):
-    """Return the time in which its thruster goes from zero to the limit."""
+    """Return the time from zero to the limit of the thruster."""
     return scenario.actuators.F_u_max / scenario.actuators.F_u_rate
 
 
-def test_the_first_suite_has_the_worlds_that_it_was_opened_with():
+def test_the_first_suite_has_the_scenarios_of_its_opening():
     known, now = ([s for s, _ in sealed.sealed_worlds(**changes)] for changes in (sealed.FIRST, {}))
     assert [cell.scenario for cell in suites.load_suite("sealed-v1").cells] == known
     slewing = {f"{speed_range}-{name}" for speed_range in SPEED_RANGES for name in ("slew", "all-at-once")}
     assert {s.name for s in known if s not in now} == {"cruise-beyond", *slewing}
 
 
-def test_every_world_has_something_that_training_never_draws():
-    """A speed, a length, a rate limit, an outage, a start or a hull that no mixture has."""
+def test_every_scenario_is_outside_the_training_distributions():
+    """By its speed, duration, slew time, outages, start or vehicle."""
     trained = [scenario for mixture in MIXTURES.values() for scenario, _ in mixture]
     speeds = [s.path.speed for s in trained]
     assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.MASS_SHARES[0] for s in trained)
@@ -92,11 +92,11 @@ def test_every_world_has_something_that_training_never_draws():
         low, high = scenario.path.speed
         other = {
             "speed": all(high <= a or b <= low for a, b in speeds),
-            "length": all(scenario.duration > s.duration for s in trained),
+            "duration": all(scenario.duration > s.duration for s in trained),
             "slew": all(slew_time(scenario) > slew_time(s) for s in trained),
             "outages": scenario.sensors.outages > 0
             and all(scenario.sensors.outage_time[0] >= s.sensors.outage_time[1] for s in trained if s.sensors.outages),
             "start": all(scenario.start.x_e[1] > s.start.x_e[1] for s in trained),
-            "hull": scenario.mismatch.mass == sealed.MASS_SHARES,
+            "vehicle": scenario.mismatch.mass == sealed.MASS_SHARES,
         }
         assert any(other.values()), scenario.name

@@ -1,4 +1,4 @@
-"""The page about speed is made of what was measured, and says what was missed."""
+"""The page about speed has all measurements, with their goals."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from baselines.tools.files import read_json
 from research.throughput.measure import DECISIONS, THROUGHPUT_FILE, Figure, context, written
 
 
-def test_the_page_has_a_row_for_everything_that_was_measured():
+def test_the_page_has_a_row_for_every_measurement():
     figures = read_json(THROUGHPUT_FILE)["figures"]
     rows = context("speed")["rows"]
     assert [row[0] for row in rows] == [figure["case"] for figure in figures]
@@ -17,11 +17,11 @@ def test_the_page_has_a_row_for_everything_that_was_measured():
     ("value", "unit", "text"),
     [(61.3, "s", "61.3 s"), (0.0121, "s", "12.1 ms"), (3.4e-8, "s", "34 ns"), (9.38, "x", "9.38 x")],
 )
-def test_numbers_have_handy_units(value, unit, text):
+def test_numbers_have_readable_units(value, unit, text):
     assert written(value, unit) == text
 
 
-def test_goals_are_at_least_for_ratios_and_at_most_for_times():
+def test_goals_are_minima_of_ratios_and_maxima_of_times():
     assert Figure("fast", 4.0, "x", 4.0).row == ("fast", "4 x", "4 x", "yes")
     assert Figure("fast", 3.9, "x", 4.0).row[3] == "no"
     assert Figure("slow", 0.1, "s", 0.1).row == ("slow", "100 ms", "100 ms", "yes")

@@ -1,4 +1,4 @@
-"""The study of learned agents: its scores against the evaluation's own, its files, its page of results."""
+"""The study of trained agents: its scores compared with those of the evaluation, its files, its page of results."""
 
 import shlex
 from dataclasses import replace
@@ -39,7 +39,7 @@ def steady_rmses(results, policy):
 
 @pytest.fixture(scope="module")
 def made(results):
-    """Two agents, of which one does what the filter's law does and the other what the integral law does."""
+    """Return the study of two seeds with the runs of two controllers."""
     own = {SUITE: [runs_of(results, "ekf"), runs_of(results, "integral")]}
     curve = [{"timesteps": 1000 * k, "seconds": 2.0 * k, "score": 0.1 * k} for k in range(5)]
     return Study.of("A test.", SPEED_RANGE, "python train.py", own, [curve, curve])
@@ -53,7 +53,7 @@ def test_score_of_equal_seeds_is_the_score(results):
     np.testing.assert_allclose(same.ci95, one.ci95, atol=1e-12)
 
 
-def test_lead_is_the_difference_of_scores_and_none_over_oneself(results):
+def test_lead_is_the_difference_of_scores(results):
     expert, ekf, lqi, oracle = (steady_rmses(results, p) for p in (EXPERT, "ekf", "lqi", ORACLE))
     above = lead(expert, lqi, [t[None] for t in ekf], oracle)
     assert above.mean == pytest.approx(score(expert, ekf, oracle).mean - score(expert, lqi, oracle).mean, abs=1e-12)
@@ -70,17 +70,13 @@ def test_seeds_that_differ_widen_the_interval(results, made):
     assert mixed.ci95[1] > max(alone) - 0.1
 
 
-def test_files_give_back_what_they_were_given(made, tmp_path):
+def test_a_saved_study_can_be_loaded(made, tmp_path):
     save_study("a", made, tmp_path)
-    back = load_studies(tmp_path)["a"]
-    assert (back.about, back.speed_range, back.command, back.date) == (
-        made.about,
-        made.speed_range,
-        made.command,
-        made.date,
-    )
-    np.testing.assert_array_equal(back.curves, made.curves)
-    before, after = made.suites[SUITE], back.suites[SUITE]
+    loaded = load_studies(tmp_path)["a"]
+    for name in ("about", "speed_range", "command", "date"):
+        assert getattr(loaded, name) == getattr(made, name)
+    np.testing.assert_array_equal(loaded.curves, made.curves)
+    before, after = made.suites[SUITE], loaded.suites[SUITE]
     assert after.cells == before.cells
     for a, b in zip(after.steady_rmses, before.steady_rmses, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
@@ -88,7 +84,7 @@ def test_files_give_back_what_they_were_given(made, tmp_path):
     np.testing.assert_array_equal(after.effort, before.effort)
 
 
-def test_what_was_measured_on_another_suite_does_not_count(made, tmp_path):
+def test_results_of_a_changed_suite_are_ignored(made, tmp_path):
     old = replace(made, suites={SUITE: replace(made.suites[SUITE], hash="0" * 64)})
     save_study("a", old, tmp_path)
     assert load_studies(tmp_path)["a"].suites == {}
@@ -109,7 +105,7 @@ def test_page_has_a_row_for_each_agent(results, made):
 
 
 def test_failures_added_and_prevented_by_hand():
-    """From the files alone: a failure is an episode that ended so, or whose error reaches the cap of 2 m."""
+    """From the files: a failure is an early end, or an error of at least the cap of 2 m."""
     suite = collected("unmodelled-v1")[0]
     failed = {}
     for policy in ("backstepping", "apg-cruise"):
@@ -121,14 +117,14 @@ def test_failures_added_and_prevented_by_hand():
     assert added > 0 < prevented
 
 
-def test_a_policy_that_failed_is_no_result(results):
+def test_a_failed_run_is_refused(results):
     bad = replace(runs_of(results, "ekf")[0], measures=None, error="it broke")
     with pytest.raises(ValueError, match="failed in cruise-calm: it broke"):
         InSuite.of(SUITE, [[bad]])
 
 
 def test_trained_agents_are_run_on_the_cells_of_their_speed_range(tmp_path, monkeypatch):
-    """Two agents whose networks give zero do in every episode what their expert does."""
+    """Two agents with zero networks have the results of their expert in every episode."""
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     folders = [tmp_path / f"seed-{i}" for i in range(2)]
@@ -172,8 +168,8 @@ def test_unknown_variants_are_named(monkeypatch):
     assert run(study.main, study.PROGRAM) == 2
 
 
-def test_lost_episodes_have_the_cap_of_their_cell():
-    """A tail of a metre is lost in slow motion, and is not where positions are reckoned."""
+def test_failures_have_the_error_cap_of_their_cell():
+    """An error of a metre is a failure in slow motion, but not with dead reckoning."""
     steady_rmse, ended = np.array([[1.0, 0.1]]), np.zeros((1, 2), bool)
     own = InSuite(
         "", ("slow-calm", "slow-deep"), (steady_rmse, steady_rmse), (ended, ended), np.zeros(1), np.zeros(1), 0.0

@@ -1,4 +1,4 @@
-"""Gains that follow the vehicle: stable on the fleet and on random hulls, compared with searches, and on the page."""
+"""Gains that follow the vehicle: stable on published and random vehicles, compared with searches, and on the page."""
 
 import json
 import re
@@ -17,17 +17,17 @@ from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from baselines import make_policy
 from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
-from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
+from baselines.tuning.objective import TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import TUNING_SEED
 from baselines.tuning.tunables import TUNABLES
 from research.vehicles import vehicles, vehicles_page
 
 ROOT = Path(__file__).parents[2]
-SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at
+SLIP = 0.25  # [rad] largest sideslip in the turns of random vehicles
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_expert_and_normalised_law_are_stable_on_the_fleet(name):
+def test_expert_and_normalised_law_are_stable_on_published_vehicles(name):
     assert vehicles_page.worst_growth(vehicle_model(name)) < 0
     assert vehicles_page.worst_growth(vehicle_model(name), "backstepping-normalised") < 0
 
@@ -41,27 +41,27 @@ def between(low, high):
 
 @settings(max_examples=25, deadline=None)
 @given(between(1.06, 2.4), between(0.2, 6.0), between(0.1, 7.0), between(0.25, 6.0), SIZES, SIZES)
-def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, length, mass):
-    """With drag from a tenth to seven times the paper's in the hull's own units, in turns that slip by 14 degrees."""
+def test_expert_is_stable_on_random_vehicles_of_any_size(ratio, surge, sway, yaw, length, mass):
+    """Drag: 0.1 to 7 times that of the paper, in the units of the vehicle; turns have 14 degrees of sideslip."""
     units = Units(length, length, mass)  # as fast as the paper's vehicle
     m22 = 215.0 * ratio
     own = (215.0, m22, 80.0, 70.0 * surge, m22 / 265.0 * 100.0 * sway, 50.0 * yaw)
     dims = ("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s")
-    hull = Vehicle(*(x * units.factor(*POWERS[d]) for x, d in zip(own, dims, strict=True)))
-    law = make_policy("backstepping", vehicle=hull)
+    vehicle = Vehicle(*(x * units.factor(*POWERS[d]) for x, d in zip(own, dims, strict=True)))
+    law = make_policy("backstepping", vehicle=vehicle)
     for U in (0.1, 0.39, 0.41, 1.5):
         turn_rate = min(0.14 if U < 0.4 else 0.21, SLIP * own[4] / 215.0)
         for w in (0.0, turn_rate / units.time):
-            assert linearise(hull, lambda o: law.forces(o, ARRAYS), U, w).eigenvalues[0].real < 0
+            assert linearise(vehicle, lambda o: law.forces(o, ARRAYS), U, w).eigenvalues[0].real < 0
 
 
 def test_a_course_of_another_vehicle_is_in_the_papers_units():
-    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", vehicle_model("otter"))
+    plain, own = tuning_scenarios("cruise", "plain"), tuning_scenarios("cruise", "plain", vehicle_model("otter"))
     assert [s.name for s in own] == [s.name for s in plain]
     assert {s.vehicle.speed for s in own} == {1.5}
     assert {s.control_dt for s in own} == {0.1}
     assert len({s.substeps for s in own}) == 1
-    assert rewound_scenarios("slow", "plain", PAPER) is not plain
+    assert tuning_scenarios("slow", "plain", PAPER) is not plain
     episodes = TuningEpisodes("cruise", 8, TUNING_SEED, vehicle_model=vehicle_model("otter"))
     steady_rmses, failed, commands = episodes.steady_rmses(
         TUNABLES["los-pid"].factory(vehicles.load_gains("los-pid", "cruise", TUNABLES["los-pid"].names),
@@ -91,12 +91,12 @@ def test_the_ratio_of_means_and_its_interval():
         (["agent", "--policy", "lqi"], "--policy lqi makes no sense here: helm-any runs, and nmpc; leave it out"),
     ],
 )
-def test_mistakes_are_told_in_a_line(arguments, says, capsys):
+def test_wrong_usage_is_one_line(arguments, says, capsys):
     assert run(vehicles.main, vehicles.PROGRAM, arguments) == 2
     assert says in capsys.readouterr().err
 
 
-def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
+def test_the_command_adds_its_results_to_the_file(tmp_path):
     out = tmp_path / "found.json"
     out.write_text(json.dumps({"search": {"otter": {"lqi": {"ratio": 1.0}}}}))
     few = ["--vehicle", "otter", "--policy", "los-pid", "--held-out", "8", "--out", str(out)]
@@ -110,8 +110,8 @@ def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
     assert found["before"]["error"] != found["after"]["error"]
 
 
-def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsys):
-    """Told to keep the gains from the parameters, both sides of predictive control are the same."""
+def test_an_agent_is_compared_with_predictive_control_with_both_gains(tmp_path, capsys):
+    """If the searched gains are those from the parameters, both rows of predictive control are the same."""
     out = tmp_path / "found.json"
     few = ["--vehicle", "otter", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
@@ -129,14 +129,14 @@ def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsy
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
 
-def test_the_papers_vehicle_is_the_same_before_and_after():
+def test_for_the_papers_vehicle_scaling_changes_nothing():
     found = vehicles.scaling(PAPER, ["los-pid"], 8)["policies"]["los-pid"]
     assert found["before"] == found["after"]
     assert replace(PAPER_VEHICLE) == PAPER.vehicle
 
 
-def test_the_readme_says_how_the_agent_does_beside_searched_gains():
-    """One seed of it, tuned to no vehicle."""
+def test_the_readme_compares_the_agent_with_searched_gains():
+    """One training seed, without fine-tuning."""
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
     page = " ".join((ROOT / "docs/vehicle-gains.md").read_text(encoding="utf-8").split())
     measured = re.search(f"{pattern} times that with searched", page)[1]

@@ -1,4 +1,4 @@
-"""The suite of other vehicles: whole and reproducible; scores without units; the bound on each; the section."""
+"""The suite of published vehicles: complete and reproducible; scores without units; the optimum; the page."""
 
 from dataclasses import replace
 from functools import partial
@@ -18,9 +18,9 @@ from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE
 from baselines import make_policy
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import Problem
-from baselines.control.privileged.solver import TOLERANCE, WINDOWS, best_trajectory, foreseeing, refined
+from baselines.control.privileged.solver import TOLERANCE, WINDOWS, best_trajectory, optimised, receding_horizon
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
@@ -37,7 +37,7 @@ from research.results.study_files import Study, load_studies
 from research.suites.builder import BUILDERS, VEHICLE_EPISODES, _cell
 
 ROOT = Path(__file__).parents[2]
-OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
+OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a similar vehicle
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def suite():
     return suites.load_suite(vehicles.VEHICLES_SUITE)
 
 
-def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
+def test_the_suite_has_eight_published_vehicles_in_every_case(suite):
     assert suite.hash == "2ff4fad7702219e1db0c7f2e92eacec286f3a866d933ec8900b564a5f1a2a8b2"
     assert suite.anchors == BY_BOUND
     slow = [name for name in vehicle_names() if not vehicle_model(name).actuators.fin]
@@ -89,7 +89,7 @@ STEADY_RMSES = {
 
 
 def test_a_similar_vehicle_scores_the_same():
-    """With errors as many times as large as the vehicle is: score, capped score and what is lost."""
+    """Score, capped score and failures, with errors in proportion to the length of the vehicle."""
     assert (unit_of(PAPER_CELL), unit_of(FAR_CELL)) == (1.0, pytest.approx(16.0))
     assert cap_of(FAR_CELL) == pytest.approx(16 * cap_of(PAPER_CELL))
     far = {policy: [16 * x for x in steady_rmse] for policy, steady_rmse in STEADY_RMSES.items()}
@@ -102,7 +102,7 @@ def test_a_similar_vehicle_scores_the_same():
         )  # metres
 
 
-def test_a_ship_does_not_dominate_what_is_pooled():
+def test_a_ship_does_not_dominate_pooled_results():
     far = {policy: [16 * x for x in steady_rmse] for policy, steady_rmse in STEADY_RMSES.items()}
     entries = pool([*runs_of(PAPER_CELL, STEADY_RMSES), *runs_of(FAR_CELL, far)])
     found = {(e.place, e.policy): e for e in entries}
@@ -117,7 +117,7 @@ def test_a_ship_does_not_dominate_what_is_pooled():
         assert found["cruise@twin", policy].summary.steady_rmse_m.mean == pytest.approx(16 * np.mean(steady_rmse))
 
 
-def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
+def test_the_relative_error_is_a_geometric_mean_over_cells_without_units():
     rng = np.random.default_rng(1)
     rival, own = ([rng.uniform(0.5, 1.5, n) for n in (40, 40, 30)] for _ in range(2))
     expected = np.prod([a.mean() / b.mean() for a, b in zip(own, rival, strict=True)]) ** (1 / 3)
@@ -129,13 +129,11 @@ def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
     seeds = relative_error(rival, [np.stack((0.9 * steady_rmse, 1.1 * steady_rmse)) for steady_rmse in own])
     assert seeds.mean == pytest.approx(expected)
     assert seeds.ci95[0] < found.ci95[0] < found.ci95[1] < seeds.ci95[1]
-    twice = relative_error(
-        rival, [2 * steady_rmse for steady_rmse in rival]
-    )  # the same episodes for both: nothing is left to chance
+    twice = relative_error(rival, [2 * steady_rmse for steady_rmse in rival])  # paired episodes: no uncertainty
     assert (twice.mean, *twice.ci95) == pytest.approx((2.0, 2.0, 2.0))
 
 
-def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
+def test_the_optimum_of_a_similar_vehicle_is_similar():
     short = [replace(s, steps=s.steps // 3) for s in (PAPER_CELL, FAR_CELL)]
     steady_rmses = [
         rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.steady_rmse for s in short
@@ -143,43 +141,44 @@ def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
     np.testing.assert_allclose(steady_rmses[1] / 16, steady_rmses[0], atol=2 * TOLERANCE)
 
 
-def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
-    """A torpedo with lift and small fins in a storm: steps from the commands of the oracle end in a poor optimum."""
+@pytest.mark.slow
+def test_with_active_limits_a_receding_horizon_gives_a_better_optimum_than_the_oracle():
+    """A torpedo with lift and small fins in a storm: started at the commands of the oracle, the solver ends badly."""
     scenario = as_scenario("cruise-storm@eca-a9")
     episodes = drawn(scenario, 5, 5).episodes[4:]
     problem = Problem.of(scenario, episodes)
     guess = arriving(oracle_actions(scenario, episodes), problem.delay)
-    alone = refined(problem, problem.standing(guess))
-    both = best_trajectory(problem, guess, [partial(foreseeing, WINDOWS[0])])
+    alone = optimised(problem, problem.open_loop(guess))
+    both = best_trajectory(problem, guess, [partial(receding_horizon, WINDOWS[0])])
     assert both.steady_rmse[0] < 0.5 * alone.steady_rmse[0]
     run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
     assert both.steady_rmse[0] < in_paper_metres(run.measures, scenario).steady_rmse[0]
 
 
-def test_a_factory_is_told_each_vehicle(suite, tmp_path):
-    """A user's own, which asks for the vehicle, in a suite of several."""
-    told = tmp_path / "told.txt"
+def test_a_factory_is_called_with_each_vehicle(suite, tmp_path):
+    """A user's factory with the parameter `vehicle`, in a suite of several vehicles."""
+    calls = tmp_path / "calls.txt"
     file = tmp_path / "mine.py"
     file.write_text(
         "from baselines import make_policy as known\n\n\ndef make(vehicle):\n"
-        f"    with open({str(told)!r}, 'a') as f:\n        print(vehicle.m11, file=f)\n"
+        f"    with open({str(calls)!r}, 'a') as f:\n        print(vehicle.m11, file=f)\n"
         "    return known('los-pid', vehicle)\n"
     )
     name = f"{file}:make"
     request = Request.of(Options(policy=(name,), suite=vehicles.VEHICLES_SUITE, episodes=1, out=tmp_path))
     assert (name, "slow-storm@supply") in [(policy, cell.scenario.name) for policy, cell in request.pairs]
-    told.unlink()  # it was made once, to see whether it can be
+    calls.unlink()  # the request has made the policy once
     wanted = [cell for cell in suite.cells if cell.scenario.name in ("cruise-calm@otter", "cruise-calm@lauv")]
     cells = [Cell(replace(cell.scenario, steps=30), cell.episodes[:2]) for cell in wanted]
     mine, known = run_all((name,), cells), run_all(("los-pid",), cells)
-    assert [float(line) for line in told.read_text().split()] == [cell.scenario.vehicle.m11 for cell in cells]
+    assert [float(line) for line in calls.read_text().split()] == [cell.scenario.vehicle.m11 for cell in cells]
     for a, b in zip(mine, known, strict=True):
         np.testing.assert_array_equal(a.measures.steady_rmse, b.measures.steady_rmse)
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_all_that_is_seen_is_what_is_seen_in_the_vehicles_own_units(name):
-    """The way ahead too, which is hundreds of metres for a ship: nothing meets a bound."""
+def test_observations_scale_with_the_units_of_the_vehicle(name):
+    """Also the preview, which has hundreds of metres for a ship; no term reaches its bound."""
     scenario, preview = as_scenario(f"cruise-calm@{name}"), (1, 40)
     seen = []
     for each in (scenario, in_vehicle_units(scenario)):
@@ -195,8 +194,8 @@ def test_all_that_is_seen_is_what_is_seen_in_the_vehicles_own_units(name):
     assert np.abs(seen[0][:, SIZE:]).max() > 0.9 * 40 * scenario.control_dt * scenario.path.speed[0]
 
 
-def test_the_section_tells_what_the_rows_say(suite):
-    """Of rows made up: half the rival's errors on every vehicle, and then once less than the bound's."""
+def test_the_page_agrees_with_its_rows(suite):
+    """Artificial rows: half the rival's errors on every vehicle, then one error below the optimum."""
     rng, runs, when = np.random.default_rng(0), [], Recorded("2026-01-01", {"auv_gym": "0"})
     for cell in suite.cells:
         base = rng.uniform(0.01, 0.02, len(cell.episodes)) * unit_of(cell.scenario)
@@ -218,28 +217,27 @@ def test_the_section_tells_what_the_rows_say(suite):
     (row,) = vehicles.seed_rows(pairs["nmpc"].own, studies)
     assert row == ["`any`", "2", half, half, "0 of 4608 (<= 0.065 %)"]
     assert vehicles.seed_rows(pairs["nmpc"].own, {"any-cruise": studies["any-cruise"]}) == []
-    assert vehicles.nearer_than_optimum(results) == []
+    assert vehicles.better_than_optimum(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
     better = runs[first].measures.steady_rmse.copy()
     better[3] = 1e-5 * unit_of(runs[first].scenario)
     runs[first] = replace(runs[first], measures=measures(better))
-    ((name, episode, policy, _),) = vehicles.nearer_than_optimum(Results.of(suite, runs))
+    ((name, episode, policy, _),) = vehicles.better_than_optimum(Results.of(suite, runs))
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
 
 
-def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
+def test_no_recorded_policy_is_better_than_the_optimum(suite):
     found = recorded.load_recorded(suite)
     assert found.refused == {}
     if {"backstepping", "clairvoyant"} <= {run.policy for run in found.runs}:
         results = Results.of(suite, found.runs)
         assert [gain for _, _, gain in better_than("clairvoyant", results) if gain > ROUNDING] == []
-        assert [
-            entry for entry in vehicles.nearer_than_optimum(results) if entry[-1] > 1e-3
-        ] == []  # a local optimum, now and then
+        better = [entry for entry in vehicles.better_than_optimum(results) if entry[-1] > 1e-3]
+        assert better == []  # smaller differences come from local optima
 
 
 def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
-    """Of several training seeds, over all cells; and on how many vehicles with fins it fails more often."""
+    """Its error ratio over all cells and training seeds, and the vehicles with fins on which it fails more often."""
     results, studies = Results.of(suite, recorded.load_recorded(suite).runs), load_studies()
     pairs = vehicles.pairs_of(results)
     (row,) = (row for row in vehicles.seed_rows(pairs["nmpc"].own, studies) if row[0] == "`helm-any`")

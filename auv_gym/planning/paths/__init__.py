@@ -1,9 +1,10 @@
 """Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
 
-Every family but `Spline` is a `Family` of formulas: its fields may be arrays of shape (N,), made by `stack`, and then
-times of shape (T, 1) give N paths at once. Angles are counter-clockwise from the x axis, as is a positive turn rate.
+All families except `Spline` are subclasses of `Family`. Their fields may be arrays of shape (N,), see `stack`; with
+times of shape (T, 1) such a path represents N paths. Angles are counter-clockwise from the x axis. Positive turn rates
+are counter-clockwise.
 
-A new family is a frozen dataclass with the members of `Path`, best a `Family`, an entry in `PATHS` and a test.
+A new family is a frozen dataclass with the members of `Path`, preferably a `Family`, an entry in `PATHS` and a test.
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ PATHS: dict[str, type] = {
     "random_smooth": RandomSmooth,
     "spline": Spline,
 }
-"""Every family by its name in a scenario."""
+"""The families by their names in scenarios."""
 
 
 def stack(paths: Sequence[Path]) -> Path:
-    """Return one path of N paths of one family, its fields arrays of shape (N,), for times of shape (T, 1).
+    """Return N paths of one family as one path, with fields of shape (N,), for times of shape (T, 1).
 
     Raises:
-        ValueError: no path, more than one family, or a family that is not elementwise.
+        ValueError: there is no path, more than one family, or a family that is no `Family`.
     """
     families = {type(path) for path in paths}
     if len(families) != 1 or not all(issubclass(family, Family) for family in families):
@@ -63,14 +64,14 @@ def stack(paths: Sequence[Path]) -> Path:
         got = ", ".join(sorted(family.__name__ for family in families)) or "none"
         raise ValueError(f"stack takes paths of one family out of {allowed}, got {got}")
     family: Any = families.pop()
-    stacked: Path = object.__new__(family)  # without a second look at what each path has been checked for
+    stacked: Path = object.__new__(family)  # without a check, since the paths were checked
     for field in fields(family):
         object.__setattr__(stacked, field.name, np.array([getattr(path, field.name) for path in paths]).T)
     return stacked
 
 
 def unstack(paths: Path, n: int) -> list[Path]:
-    """Return the n paths that one of `stack` stands for."""
+    """Return the n paths that `stack` has combined."""
     single: list[Path] = [object.__new__(type(paths)) for _ in range(n)]
     for name, value in vars(paths).items():
         triple = isinstance(value, tuple) or np.ndim(value) == 2
@@ -81,16 +82,16 @@ def unstack(paths: Path, n: int) -> list[Path]:
 
 
 def evaluate_paths(paths: Sequence[Path], t: Array) -> Array:
-    """Return position and three derivatives of N paths of any families at times t [s], shape (T,): (4, 2, T, N)."""
+    """Return position and three time derivatives of N paths at times t [s] of shape (T,), an array (4, 2, T, N)."""
     t = np.asarray(t, dtype=np.float64)
     members: dict[type, list[int]] = {}
     for column, path in enumerate(paths):
         members.setdefault(type(path), []).append(column)
     out = np.empty((4, 2, len(t), len(paths)))
     for family, columns in members.items():
-        side_by_side = slice(columns[0], columns[-1] + 1) if columns[-1] - columns[0] < len(columns) else columns
+        where = slice(columns[0], columns[-1] + 1) if columns[-1] - columns[0] < len(columns) else columns
         if issubclass(family, Family):
-            out[..., side_by_side] = stack([paths[k] for k in columns]).derivatives(t[:, None])
+            out[..., where] = stack([paths[k] for k in columns]).derivatives(t[:, None])
         else:
             for k in columns:
                 out[..., k] = paths[k].derivatives(t)

@@ -1,4 +1,4 @@
-"""What every path is and is made with: the protocol, checks, and placing a curve in the world."""
+"""The protocol of a path, the base class of families, checks of their fields, and the placement of a curve."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Pairs: TypeAlias = Sequence[tuple[Number, Number]]
 
 @runtime_checkable
 class Path(Protocol):
-    """Anything with a position and three continuous time derivatives on a domain of times."""
+    """A position with three continuous time derivatives on a domain of times."""
 
     @property
     def speed(self) -> float:
@@ -32,26 +32,26 @@ class Path(Protocol):
 
     @property
     def start(self) -> float:
-        """First time of the domain [s], -inf if there is none."""
+        """First time of the domain [s]; -inf if it is unbounded."""
 
     @property
     def end(self) -> float:
-        """Last time of the domain [s], inf if there is none."""
+        """Last time of the domain [s]; inf if it is unbounded."""
 
     def derivatives(self, t: Array) -> Array:
         """Return position [m] and its first three time derivatives.
 
         Args:
-            t: times [s], ascending along axis 0: any shape, or (T, 1) for a path of N stacked ones.
+            t: times [s], ascending along axis 0: of any shape, or (T, 1) for N paths that are stacked.
 
         Returns:
-            Index 0 counts the derivatives, index 1 is x, y; shape (4, 2, *t.shape), or (4, 2, T, N) if stacked.
+            An array (4, 2, *t.shape), or (4, 2, T, N) if stacked; axis 0 is the order of the derivative, axis 1 x, y.
         """
 
 
 def is_number(value: Any, kind: str) -> bool:
-    """Whether every entry is a finite number, also "positive" or "not zero" if `kind` says so."""
-    if type(value) is float:  # by far the most frequent, in a hundredth of the time
+    """Return whether all entries are finite numbers, and also "positive" or "not zero" if `kind` is one of these."""
+    if type(value) is float:  # the most frequent case, in a hundredth of the time
         return math.isfinite(value) and (not kind or value > 0 or (kind == "not zero" and value != 0))
     if isinstance(value, int | bool) and not is_float(value):
         return False
@@ -63,7 +63,14 @@ def is_number(value: Any, kind: str) -> bool:
 
 
 def validate(path: Any, positive: Sequence[str] = (), nonzero: Sequence[str] = (), triples: Sequence[str] = ()) -> None:
-    """Raise ValueError for the first field that is not finite, positive, not zero or three numbers, as it must be."""
+    """Raise ValueError for the first invalid field of a path; fields must be finite numbers.
+
+    Args:
+        path: a dataclass.
+        positive: names of the fields that must be positive.
+        nonzero: names of the fields that must not be zero.
+        triples: names of the fields that must be three numbers.
+    """
     for name in (field.name for field in fields(path)):
         value = getattr(path, name)
         kind = "positive" if name in positive else "not zero" if name in nonzero else ""
@@ -78,14 +85,14 @@ def validate(path: Any, positive: Sequence[str] = (), nonzero: Sequence[str] = (
 
 
 POSE = ("x0", "y0", "heading")
-"""The last fields of every family: where a curve begins or is centred [m], and which way it is turned [rad]."""
+"""The last fields of every family: start or centre of the curve [m], and its rotation [rad]."""
 
 
 class Family(ABC):
-    """Curves that are given by formulas of time, for all times, and are placed in the world.
+    """A curve that is a formula of time, for all times, with a pose.
 
-    A subclass is a frozen dataclass whose last fields are those of `POSE`. It is elementwise: its fields may be arrays
-    of shape (N,), made by `auv_gym.planning.paths.stack`, or symbols.
+    A subclass is a frozen dataclass whose last fields are those of `POSE`. Its formulas are elementwise: the fields may
+    be arrays of shape (N,), see `auv_gym.planning.paths.stack`, or symbols.
     """
 
     start: ClassVar[float] = -math.inf
@@ -97,20 +104,20 @@ class Family(ABC):
 
     @property
     def numbers(self) -> Sequence[float]:
-        """What its compiled formulas take of it besides its pose."""
+        """The arguments of the compiled formulas, without the pose."""
         return list(vars(self).values())[: -len(POSE)]
 
     @classmethod
     def member(cls, *numbers: Number, **others: Number) -> Self:
-        """Return the path of these fields without a check, which a distribution that has been checked need not have."""
-        path, kinds = object.__new__(cls), fields(cls)  # type: ignore[arg-type]
-        path.__dict__.update((field.name, field.default) for field in kinds)
-        path.__dict__.update(zip((field.name for field in kinds), numbers, strict=False), **others)
+        """Return the path with these fields, without a check: the distribution that it is drawn from was checked."""
+        path, own = object.__new__(cls), fields(cls)  # type: ignore[arg-type]
+        path.__dict__.update((field.name, field.default) for field in own)
+        path.__dict__.update(zip((field.name for field in own), numbers, strict=False), **others)
         return path
 
     @abstractmethod
     def formulas(self, t: Number, ns: Namespace) -> Pairs:
-        """Return the curve at a time [s], before it is turned by its heading and moved to (x0, y0)."""
+        """Return the curve at a time [s] in its own frame, without the pose."""
 
     def derivatives(self, t: Array) -> Array:
         """See `Path.derivatives`."""
@@ -118,7 +125,7 @@ class Family(ABC):
 
 
 def placed(pairs: Pairs, pose: Sequence[Number], ns: Namespace) -> Pairs:
-    """Return a curve turned by a heading and moved: the pose is x0, y0 [m] and the heading [rad]."""
+    """Return a curve after rotation by a heading and translation; the pose is x0, y0 [m] and the heading [rad]."""
     x0, y0, heading = pose
     c, s = ns.cos(heading), ns.sin(heading)
     (x, y), *rates = (to_world(x, y, c, s) for x, y in pairs)
@@ -126,7 +133,7 @@ def placed(pairs: Pairs, pose: Sequence[Number], ns: Namespace) -> Pairs:
 
 
 def as_array(pairs: Pairs) -> Array:
-    """Return pairs of arrays, shapes that fit together, as one array (4, 2, ...)."""
+    """Return pairs of arrays, whose shapes can be broadcast, as one array (4, 2, ...)."""
     shape = np.broadcast(*(number for pair in pairs for number in pair)).shape
     array = np.empty((len(pairs), 2, *shape))
     for row, pair in zip(array, pairs, strict=True):

@@ -1,4 +1,4 @@
-"""Families with closed formulas: line, circle, sine, ellipse, figure-eight."""
+"""Families with a closed-form position: line, circle, sine, ellipse, figure-eight."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Line(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:  # noqa: ARG003, the families share the signature
-        """Draw a direction; a line does not turn."""
+        """Return a line in a random direction; the turn rate is not used."""
         return cls.member(speed, heading=2 * math.pi * uniform())
 
 
@@ -61,7 +61,7 @@ class Circle(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw a direction, a turn rate of .4 ... 1 times the largest one, and its sign."""
+        """Return a circle with a random direction and a turn rate of .4 ... 1 `turn_rate` of random sign."""
         heading, magnitude = 2 * math.pi * uniform(), turn_rate * (0.4 + 0.6 * uniform())
         return cls.member(speed, signed(magnitude, uniform), heading=heading)
 
@@ -90,7 +90,7 @@ class Sine(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw direction, frequency and phase; the largest turn rate, at the crests, is .8 `turn_rate`."""
+        """Return a sine with random direction, frequency and phase; its largest turn rate is .8 `turn_rate`."""
         heading, w, phase = 2 * math.pi * uniform(), 2 * turn_rate * (0.4 + 0.6 * uniform()), 2 * math.pi * uniform()
         return cls.member(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
 
@@ -127,7 +127,7 @@ class Ellipse(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw direction, b/a in .5 ... 1, largest turn rate |w| a/b in .4 ... 1 `turn_rate`, its sign and phase."""
+        """Return a random ellipse: b/a is .5 ... 1, the largest turn rate |w| a/b is .4 ... 1 `turn_rate`."""
         heading, ratio = 2 * math.pi * uniform(), 0.5 + 0.5 * uniform()
         w = ratio * turn_rate * (0.4 + 0.6 * uniform())
         a = speed / (w * _sqrt(0.5 * (1 + ratio**2)))
@@ -167,7 +167,7 @@ class FigureEight(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw direction, frequency and phase; the lobes turn fastest, at 1.22 ... 1.75 `turn_rate`."""
+        """Return a random figure-eight; its largest turn rate is 1.22 ... 1.75 `turn_rate`, in the lobes."""
         heading, w = 2 * math.pi * uniform(), 0.55 * turn_rate * (0.7 + 0.3 * uniform())
         return cls.member(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)
 

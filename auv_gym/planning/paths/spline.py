@@ -1,4 +1,4 @@
-"""The path through a user's waypoints."""
+"""The path through given waypoints."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
 
-_DOMAIN_ROUNDING = 1e-9  # [s] by which a time may leave a spline's domain
+_DOMAIN_ROUNDING = 1e-9  # [s] tolerance at the ends of a spline's domain
 
 
 @dataclass(frozen=True)
 class Spline:
-    """A smooth path through waypoints, passed at given speeds, from t = 0 to t = `end`.
+    """A smooth path through waypoints at given speeds, from t = 0 to t = `end`.
 
     The curve p(q) interpolates the waypoints by a quintic spline over the chord length q, straight at both ends
     (p'' = p'''' = 0) or periodic. The speed V(q) is a cubic spline through the speeds at the waypoints, natural or
@@ -26,9 +26,9 @@ class Spline:
     """
 
     waypoints: tuple[tuple[float, float], ...]  # [m] (x, y), two or more, three or more if closed
-    speed: float  # [m/s] nominal speed, held everywhere unless `speeds` are given
+    speed: float  # [m/s] nominal speed; the constant speed if there are no `speeds`
     speeds: tuple[float, ...] = ()  # [m/s] one for each waypoint
-    closed: bool = False  # whether to return to the first waypoint, which is not repeated
+    closed: bool = False  # whether the path returns to the first waypoint, which is not repeated
 
     start: ClassVar[float] = 0.0
 
@@ -37,7 +37,7 @@ class Spline:
         _validate_speeds(self.speed, self.speeds, len(points))
         object.__setattr__(self, "waypoints", tuple((float(x), float(y)) for x, y in points))
         object.__setattr__(self, "speeds", tuple(float(speed) for speed in self.speeds))
-        _ = self._law  # refuses a path that cannot be travelled
+        _ = self._law  # raises ValueError for an impossible path
 
     @property
     def end(self) -> float:
@@ -46,7 +46,7 @@ class Spline:
 
     @property
     def arrivals(self) -> Array:
-        """Times at the waypoints [s], and at the return to the first one if closed."""
+        """Times at the waypoints [s], and at the return to the first waypoint if the path is closed."""
         return self._law.t[:: self._law.panels]
 
     @cached_property
@@ -83,11 +83,15 @@ class _TimeLaw:
     pace: Any  # scipy CubicSpline, chord length [m] -> speed [m/s]
     q: Array  # [m]
     t: Array  # [s]
-    panels: int  # of the table between two waypoints
+    panels: int  # number of intervals of the table between two waypoints
 
     @classmethod
     def of(cls, path: Spline) -> _TimeLaw:
-        """Fit the splines and refine the table until two successive ones agree to 1e-14 of the duration."""
+        """Fit the splines, and refine the table until two successive tables agree to 1e-14 of the duration.
+
+        Raises:
+            ValueError: the speed is not positive everywhere, or the curve reverses its direction.
+        """
         from scipy.interpolate import CubicSpline, make_interp_spline
 
         points, speeds = np.array(path.waypoints), np.array(path.speeds or (path.speed,) * len(path.waypoints))
@@ -112,7 +116,7 @@ class _TimeLaw:
             coarse = spent
         near = int(np.abs(chords - q[stretch.argmin()]).argmin()) % len(path.waypoints)
         raise ValueError(
-            f"Spline: the curve turns back on itself near waypoint {near}, {path.waypoints[near]}; "
+            f"Spline: the curve reverses its direction near waypoint {near}, {path.waypoints[near]}; "
             "round the reversal with further waypoints"
         )
 
@@ -128,14 +132,14 @@ class _TimeLaw:
 
     @cached_property
     def guess(self) -> Any:
-        """The interpolant of q(t): scipy CubicHermiteSpline."""
+        """Approximate q(t), a scipy CubicHermiteSpline."""
         from scipy.interpolate import CubicHermiteSpline
 
         return CubicHermiteSpline(self.t, self.q, self.pace(self.q) / np.hypot(*self.curve(self.q, 1).T))
 
 
 def _travel_time(curve: Any, pace: Any, a: Array, b: Array) -> Array:
-    """Return the time [s] from chord length a to b [m], elementwise, by Gauss-Legendre quadrature."""
+    """Return the travel time [s] from chord length a to b [m], elementwise, by Gauss-Legendre quadrature."""
     nodes = a[..., None] + (b - a)[..., None] * _NODES
     p1 = curve(nodes, 1)
     times: Array = (b - a) * ((np.hypot(p1[..., 0], p1[..., 1]) / pace(nodes)) @ _WEIGHTS)
@@ -143,7 +147,7 @@ def _travel_time(curve: Any, pace: Any, a: Array, b: Array) -> Array:
 
 
 def _points(waypoints: Any, closed: bool) -> Array:
-    """Return the waypoints as an array (n, 2), or raise the ValueError that says what is wrong with them."""
+    """Return the waypoints as an array (n, 2); raise ValueError if they are invalid."""
     try:
         points = np.asarray(waypoints, dtype=np.float64)
     except (OverflowError, TypeError, ValueError):
@@ -176,7 +180,7 @@ def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:
 
 
 def _check_pace(pace: Any, chords: Array) -> None:
-    """Raise ValueError where the speed's spline, positive at the waypoints, dips to zero between them."""
+    """Raise ValueError if the spline of the speed is not positive between the waypoints."""
     turning = pace.derivative().roots(extrapolate=False)
     turning = turning[np.isfinite(turning)]
     if turning.size and pace(turning).min() <= 0:

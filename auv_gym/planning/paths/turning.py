@@ -1,4 +1,4 @@
-"""Families given by their course over time, their position an integral: lawnmower and random smooth curve."""
+"""Families defined by their course over time, with the position as an integral: lawnmower, random smooth curve."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from auv_gym.planning.paths.base import Family, Pairs, as_array, placed, validat
 
 
 def _turn_coefficients() -> Array:
-    """Return the integrals over a half turn of heading pi S(z), z in [0, 1], as power series in q = (2z - 1)^2.
+    """Return power series in q = (2z - 1)^2 of the position along a half turn with heading pi S(z), z in [0, 1].
 
     int_0^z cos(pi S) = sum_k c[k, 0] q^k,   int_0^z sin(pi S) = sum_k c[k, 1] (1 + (2z - 1) q^k),   c of shape (19, 2).
-    Interpolating the integrands by polynomials of degree 36 is exact to round-off.
+    The integrands are interpolated by polynomials of degree 36, which is exact to round-off.
     """
 
     def angle(v: Array) -> Array:
@@ -39,20 +39,20 @@ def _turn_coefficients() -> Array:
 
 _TURN = _turn_coefficients()
 _ALONG, _ACROSS = _TURN.T.tolist()
-_TURN_WIDTH = 2 * float(_TURN[:, 1].sum())  # int_0^1 sin(pi S) = .40756: a turn's width over the length of its arc
+_TURN_WIDTH = 2 * float(_TURN[:, 1].sum())  # int_0^1 sin(pi S) = .40756: width of a turn over its arc length
 
 
 @dataclass(frozen=True)
 class Lawnmower(Family):
-    """A survey at constant speed: straight legs to and fro, joined by half turns to alternating sides.
+    """A survey at constant speed: parallel straight legs, connected by half turns to alternating sides.
 
-    The heading of a turn is pi S(z), z the share of the turn's duration and S = z^3 (10 - 15 z + 6 z^2), so it is twice
-    continuously differentiable. The pattern advances by `spacing` at each turn, also back in time.
+    The heading in a turn is pi S(z), with the fraction z of the turn's duration and S = z^3 (10 - 15 z + 6 z^2). It is
+    twice continuously differentiable. The pattern advances by `spacing` at each turn, also for negative times.
     """
 
     speed: float  # U [m/s]
-    leg: float  # [m] length of the straight part
-    spacing: float  # [m] between legs, negative for a first turn to starboard (clockwise)
+    leg: float  # [m] length of a leg
+    spacing: float  # [m] distance between legs, negative if the first turn is to starboard (clockwise)
     x0: float = 0.0  # [m] start of the first leg, at t = 0
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of the first leg
@@ -70,9 +70,9 @@ class Lawnmower(Family):
         U, T, straight = self.speed, self.turn_time, self.leg / self.speed
         port = ns.where(self.spacing < 0, -1.0, 1.0)
         k = ns.floor(t / (straight + T))  # legs completed
-        back = k - 2 * ns.floor(k / 2)  # 1 on the way back, 0 on the way out
+        back = k - 2 * ns.floor(k / 2)  # 1 on legs in the opposite direction, else 0
         ahead = 1 - 2 * back
-        since = t - k * (straight + T)  # [s] on this leg and its turn
+        since = t - k * (straight + T)  # [s] since the start of this leg
         z = ns.clip((since - straight) / T, 0.0, 1.0)
         v, rest = 2 * z - 1, z * (1 - z)
         angle = math.pi * z * z * z * (10 - 15 * z + 6 * z * z)
@@ -88,7 +88,7 @@ class Lawnmower(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw direction, largest turn rate .7 ... 1 `turn_rate`, side of the first turn, leg .2 ... 1 spacing."""
+        """Return a random survey: largest turn rate .7 ... 1 `turn_rate`, leg .2 ... 1 spacing."""
         heading, turn_time = 2 * math.pi * uniform(), 15 * math.pi / (8 * turn_rate * (0.7 + 0.3 * uniform()))
         spacing = _TURN_WIDTH * speed * turn_time
         side = signed(spacing, uniform)
@@ -97,9 +97,9 @@ class Lawnmower(Family):
 
 @dataclass(frozen=True)
 class RandomSmooth(Family):
-    """Speed and turn rate as sums of sines: V = U (1 + e sin(w0 t + p0)), turn rate sum_i A_i sin(w_i t + p_i).
+    """A path with speed V = U (1 + e sin(w0 t + p0)) and turn rate sum_i A_i sin(w_i t + p_i), i = 1, 2, 3.
 
-    The heading is a closed form, the position its integral. Each sum has three terms.
+    The heading has a closed form. The position is integrated numerically.
     """
 
     speed: float  # U [m/s] mean speed
@@ -119,31 +119,31 @@ class RandomSmooth(Family):
         if not (np.all(np.greater_equal(self.speed_variation, 0)) and np.all(np.less(self.speed_variation, 1))):
             raise ValueError(f"RandomSmooth: speed_variation must be in [0, 1), got {self.speed_variation!r}")
         for name in triples:
-            if isinstance(getattr(self, name), list):  # as JSON has it
+            if isinstance(getattr(self, name), list):  # from JSON
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def numbers(self) -> Sequence[float]:
-        """See `Family.numbers`: those of the speed, of each sine of the turn rate, and `longest_step`."""
+        """The arguments of the compiled formulas: four of the speed, three of each sine, and `longest_step`."""
         sines = zip(self.turn_rates, self.frequencies, self.phases, strict=True)
         speed = self.speed, self.speed_variation, self.speed_frequency, self.speed_phase
         return [*speed, *(number for sine in sines for number in sine), self.longest_step]
 
     @property
     def longest_step(self) -> float:
-        """Largest step [s] of the position's integral: .02 rad of the fastest sine or turn."""
+        """Largest integration step of the position [s]: .02 rad of the fastest sine or turn."""
         rates = (sum(map(abs, self.turn_rates)), *self.frequencies, abs(self.speed_frequency))
         return 0.02 / (max(rates) if isinstance(rates[0], float) else reduce(np.maximum, rates))
 
     def formulas(self, t: Number, ns: Namespace) -> Pairs:
-        """Return what `Family.formulas` does, but for the position, which is left at 0: it is an integral."""
+        """See `Family.formulas`; the position, which is an integral, is 0."""
         course: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
         for sine in zip(self.turn_rates, self.frequencies, self.phases, strict=True):
-            course = turned(course, sine, t, ns)
+            course = with_sine(course, sine, t, ns)
         return ((0.0, 0.0), *self.rates(course, t, ns))
 
     def rates(self, course: Sequence[Number], t: Number, ns: Namespace) -> Pairs:
-        """Return velocity and its first two time derivatives for the direction of travel [rad] and its two rates."""
+        """Return velocity and its first two time derivatives, for the course [rad] and its two time derivatives."""
         beta, rate, acceleration = course
         theta = self.speed_frequency * t + self.speed_phase
         swing = self.speed * self.speed_variation
@@ -156,8 +156,8 @@ class RandomSmooth(Family):
     def derivatives(self, t: Array) -> Array:
         """See `Path.derivatives`.
 
-        Whatever the spacing of the times, the steps of the position's integral are at most `longest_step`: the error
-        stays below 1e-12 m over hundreds of metres.
+        The integration steps of the position are at most `longest_step`, for any spacing of the times. The error is
+        below 1e-12 m over hundreds of metres.
         """
         t = np.asarray(t, dtype=np.float64)
         grid, rows, origin = _refined(t.ravel(), np.min(self.longest_step))
@@ -169,7 +169,7 @@ class RandomSmooth(Family):
 
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
-        """Draw direction, shares of the three sines in `turn_rate`, frequencies .3 ... 1.2 `turn_rate` and phases."""
+        """Return a random path: amplitudes that add up to `turn_rate`, frequencies .3 ... 1.2 `turn_rate`."""
 
         def three(low: float, high: float) -> tuple[float, float, float]:
             a, b, c = (low + (high - low) * uniform() for _ in range(3))
@@ -194,7 +194,7 @@ _NODES, _WEIGHTS = 0.5 * leggauss(10)[0] + 0.5, 0.5 * leggauss(10)[1]  # Gauss-L
 
 
 def _refined(t: Array, longest: float) -> tuple[Array, Indices, int]:
-    """Return ascending times with 0 among them and steps of at most `longest`, and where in it `t` and 0 are."""
+    """Return ascending times with `t`, 0 and steps of at most `longest`; the indices of `t`; and the index of 0."""
     k = int(np.searchsorted(t, 0.0))
     knots = np.concatenate((t[:k], [0.0], t[k:]))
     rows = np.zeros(len(knots), dtype=np.int64)
@@ -203,13 +203,15 @@ def _refined(t: Array, longest: float) -> tuple[Array, Indices, int]:
     return grid, np.concatenate((rows[:k], rows[k + 1 :])), int(rows[k])
 
 
-def turned(course: Sequence[Number], sine: Sequence[Number], t: Number, ns: Namespace) -> tuple[Number, Number, Number]:
-    """Return a direction of travel [rad] and its first two rates with another sine of the turn rate.
+def with_sine(
+    course: Sequence[Number], sine: Sequence[Number], t: Number, ns: Namespace
+) -> tuple[Number, Number, Number]:
+    """Return a course [rad] and its first two time derivatives after the addition of a sine to the turn rate.
 
     Args:
-        course: the same without it.
+        course: the course and its derivatives without this sine.
         sine: A [rad/s], w [rad/s], p [rad] of A sin(w t + p).
-        t: time [s]; at 0 the direction stays.
+        t: time [s]; the course at t = 0 does not change.
         ns: the namespace of the numbers.
     """
     beta, rate, acceleration = course
@@ -219,10 +221,10 @@ def turned(course: Sequence[Number], sine: Sequence[Number], t: Number, ns: Name
     return beta + (A * ns.cos(p) - c) / w, rate + s, acceleration + w * c
 
 
-def travelled(h: Number, before: Pairs, after: Pairs) -> tuple[Number, Number]:
-    """Return the way x, y [m] in a time step h [s], for velocities and their first two derivatives at its ends.
+def displacement(h: Number, before: Pairs, after: Pairs) -> tuple[Number, Number]:
+    """Return the displacement x, y [m] in a step h [s], for the velocities and two derivatives at its ends.
 
-    Two-point Hermite quadrature, exact for quintics: a step contributes an error of h^7 f^(6) / 100800.
+    The formula is the two-point Hermite quadrature. It is exact for quintics; its error is h^7 f^(6) / 100800 per step.
     """
     axes = zip(zip(*before, strict=True), zip(*after, strict=True), strict=True)
     x, y = (h / 2 * (g + f - h / 5 * (g1 - f1 - h / 12 * (g2 + f2))) for (f, f1, f2), (g, g1, g2) in axes)
@@ -230,9 +232,9 @@ def travelled(h: Number, before: Pairs, after: Pairs) -> tuple[Number, Number]:
 
 
 def _integral(t: Array, rates: Any, origin: int) -> Array:
-    """Return the way from t[origin] to each t, shape (2, T, ...), for `rates` (3, 2, T, ...) there."""
+    """Return the displacement from t[origin] to each t, shape (2, T, ...), for `rates` (3, 2, T, ...) there."""
     total: Array = np.zeros_like(rates[0])
-    pieces = travelled(np.diff(t, axis=0), rates[:, :, :-1], rates[:, :, 1:])
-    np.cumsum(pieces, axis=1, out=total[:, 1:])
+    steps = displacement(np.diff(t, axis=0), rates[:, :, :-1], rates[:, :, 1:])
+    np.cumsum(steps, axis=1, out=total[:, 1:])
     total -= total[:, origin, None]
     return total

@@ -1,4 +1,4 @@
-"""Published vehicles, one TOML file each: parameters, actuators, and what the source says of them."""
+"""Published vehicles, one TOML file each: parameters, actuators and sources."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 from auv_gym.scenarios.records import from_record, guarded, read_table
 from auv_gym.scenarios.vehicles.scaling import actuators_in
 
-VEHICLES_FOLDER = FilePath(__file__).parent  # of the vehicles, NAME.toml
+VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
 
 
 @dataclass(frozen=True)
 class VehicleModel:
-    """A vehicle with all that belongs to it: actuators, speed, and what is known about its numbers.
+    """A vehicle with its actuators, speeds and the sources of its numbers.
 
     Raises:
         ValueError: a number is not finite or not positive.
     """
 
     name: str
-    about: str  # what it is, in a line
-    source: str  # of the numbers
-    left_out: str  # what the source has and the equations of motion have not
-    ours: str  # what the source does not have
+    about: str  # description in one line
+    source: str  # source of the numbers
+    left_out: str  # terms of the source that the equations of motion do not have
+    ours: str  # numbers that are not from the source
     vehicle: Vehicle
     actuators: Actuators
-    turn_rate: float | None = None  # [rad/s] there, at most; None: as the paper's, 0.12 rad/s in its own time
-    lag: float | None = None  # [s] of its actuators, about; None: as the paper's, 0.2 s in its own time
-    slowest: float = 0.0  # [m/s] below which its fins do not steer it
+    turn_rate: float | None = None  # [rad/s] largest; None: 0.12 rad/s of the paper, scaled
+    lag: float | None = None  # [s] approximate lag of the actuators; None: 0.2 s of the paper, scaled
+    slowest: float = 0.0  # [m/s] least speed for steering by fins
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "ours"):
             if not isinstance(getattr(self, name), str):
-                raise ValueError(f"craft {name} is {getattr(self, name)!r}; it must be a string")
-        check_number("craft slowest", self.slowest, 0, self.vehicle.speed)
+                raise ValueError(f"vehicle {name} is {getattr(self, name)!r}; it must be a string")
+        check_number("vehicle slowest", self.slowest, 0, self.vehicle.speed)
         for name in ("turn_rate", "lag"):
             if getattr(self, name) is not None:
-                check_number(f"craft {name}", getattr(self, name), 1e-6, 1e3)
+                check_number(f"vehicle {name}", getattr(self, name), 1e-6, 1e3)
 
     def drag(self, speed: float) -> tuple[float, float, float]:
-        """Return what the drag is per velocity at a surge speed [m/s]: surge, sway [kg/s] and yaw [kg m^2/s]."""
+        """Return drag over velocity at a surge speed [m/s], for surge and sway [kg/s] and yaw [kg m^2/s]."""
         v = self.vehicle
         return v.d11 + v.X_uu * speed, v.d22 + v.Y_uv * speed, v.d33 + v.N_ur * speed
 
     @property
     def in_paper_units(self) -> VehicleModel:
-        """The same in units in which mass, length and design speed are those of the paper's vehicle."""
+        """The vehicle model in units in which mass, length and design speed are those of the paper."""
         units = Units.of(self.vehicle)
         if units == Units():
             return self
@@ -68,7 +68,7 @@ class VehicleModel:
 
     @classmethod
     def load(cls, file: str | FilePath) -> VehicleModel:
-        """Return the vehicle of a .toml or .json file.
+        """Return the vehicle model of a .toml or .json file.
 
         Raises:
             ValueError: the file is of another kind, is not valid, or has a wrong entry.
@@ -89,44 +89,45 @@ PAPER = VehicleModel(
     turn_rate=0.12,
     lag=0.2,
 )
-"""The vehicle that the presets are made for."""
+"""The vehicle of the presets."""
 
 
 def vehicle_names() -> list[str]:
-    """Return the names of the published vehicles that have a file of their own."""
+    """Return the names of the vehicle files in the package."""
     return sorted(file.stem for file in VEHICLES_FOLDER.glob("*.toml"))
 
 
 def list_vehicles() -> list[str]:
-    """Return the names that `gym.make(..., vehicle=NAME)` takes."""
+    """Return the names that `gym.make(..., vehicle=NAME)` accepts."""
     return [*VEHICLES, *vehicle_names()]
 
 
 @cache
 def vehicle_model(name: str) -> VehicleModel:
-    """Return the vehicle of a name that `vehicle_names` lists, or of a file.
+    """Return the vehicle model for a name of `vehicle_names`, or of a file.
 
     Raises:
-        ValueError: there is no such vehicle, or its file is wrong.
+        ValueError: the vehicle does not exist, or its file is wrong.
         OSError: the file cannot be read.
     """
     return VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml" if name in vehicle_names() else name)
 
 
 def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
-    """Return the vehicle with all that belongs to it for an object, a name or a file; None for a hull alone."""
+    """Return the vehicle model for an object, a name or a file; None for anything else."""
     if isinstance(vehicle, VehicleModel):
         return vehicle
-    named = isinstance(vehicle, str) and vehicle not in VEHICLES
-    return (
-        vehicle_model(vehicle)
-        if named and (vehicle in vehicle_names() or vehicle.endswith((".toml", ".json")))
-        else None
-    )
+    if not isinstance(vehicle, str) or vehicle in VEHICLES:
+        return None
+    return vehicle_model(vehicle) if vehicle in vehicle_names() or vehicle.endswith((".toml", ".json")) else None
 
 
 def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Vehicle:
-    """Return a vehicle given as an object, by its name, as a file, or as a dict of its parameters."""
+    """Return the vehicle for an object, a name, a file, or a dict of its parameters.
+
+    Raises:
+        ValueError: the vehicle is unknown, or a parameter is wrong.
+    """
     if isinstance(vehicle, Vehicle):
         return vehicle
     if isinstance(vehicle, Mapping):

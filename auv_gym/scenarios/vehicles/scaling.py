@@ -1,4 +1,4 @@
-"""The dimensions of the entries of a scenario, and its parts in other units."""
+"""The dimensions of the entries of a scenario, and the conversion of its parts to other units."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
     "waves": {"band": (0, -1)},
 }  # fmt: skip
-"""Powers of length and time in the dimensions of a scenario's entries; those that have none, or a rule of their own,
-are left out."""
+"""Powers of length and time in the dimensions of the entries of a scenario, except dimensionless entries and entries
+with other rules."""
 _LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
-"""SI units of what bounds an actuator."""
+"""SI units of the limits of actuators."""
 
 
 def scaled(value: Interval, factor: float) -> Interval:
@@ -36,11 +36,11 @@ def scaled(value: Interval, factor: float) -> Interval:
 
 
 def scaled_part(name: str, part: Any, units: Units) -> Any:
-    """Return a part of a scenario with its entries multiplied by the units, by the powers in their dimensions.
+    """Return a part of a scenario with each entry multiplied by the factor of its dimension.
 
     Args:
-        name: of the part, a key of `POWERS`.
-        part: the part; None, or a path that is not drawn, stays what it is.
+        name: name of the part, a key of `SCENARIO_POWERS`.
+        part: the part; None and fixed paths do not change.
         units: the factors of length, time and mass.
     """
     if part is None or isinstance(part, Path):
@@ -55,6 +55,6 @@ def scaled_part(name: str, part: Any, units: Units) -> Any:
 
 
 def actuators_in(units: Units, actuators: Actuators) -> Actuators:
-    """Return actuators in the paper's units: limits and lag over the factors of these units."""
+    """Return actuators with limits and lag divided by the factors of these units."""
     limits = {name: getattr(actuators, name) / units.factor(*UNITS[unit]) for name, unit in _LIMITS.items()}
     return replace(actuators, **limits, lag=scaled(actuators.lag, 1 / units.time))

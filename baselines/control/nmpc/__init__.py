@@ -1,1 +1,1 @@
-"""Nonlinear model predictive control on the extended Kalman filter."""
+"""Nonlinear model predictive control on the estimates of the extended Kalman filter."""

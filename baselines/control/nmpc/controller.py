@@ -1,8 +1,8 @@
-"""Nonlinear model predictive control on what an extended Kalman filter believes.
+"""Nonlinear model predictive control on the estimates of an extended Kalman filter.
 
-At each instant the filter's model of vehicle, actuators and sea is predicted over the horizon, and commands are sought
-that bring the vehicle to where its reference will be, which it reads from the preview. Only positions are aimed for:
-in a current and in waves heading and velocities follow from them.
+At each control instant the controller predicts the filter's model of vehicle, actuators and disturbances over the
+horizon. It optimises commands that bring the vehicle to the future positions of the reference, which are in the
+preview. The cost depends on positions only: in a current and in waves they determine heading and velocities.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, tracking_forces
-from baselines.control.nmpc.gauss_newton import improved_plan
+from baselines.control.nmpc.gauss_newton import optimised_plan
 from baselines.control.nmpc.problem import (
     COMMAND_SIZE,
     STATE_ROWS,
@@ -31,10 +31,16 @@ from baselines.control.nmpc.problem import (
     Plan,
     Stage,
     replaced,
-    taken,
+    subset,
 )
 from baselines.estimation.faults import FAULTS, LATE, Faults
-from baselines.estimation.kalman import FAULT_TUNING, FILTER_TUNING, ExtendedKalmanFilter, arrival, tuning_of
+from baselines.estimation.kalman import (
+    FAULT_TUNING,
+    FILTER_TUNING,
+    ExtendedKalmanFilter,
+    estimate_after_delay,
+    tuning_of,
+)
 from baselines.estimation.sea_model import (
     STATE_SIZE,
     Estimate,
@@ -47,7 +53,7 @@ from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
-"""Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""
+"""Ends of the stages of the horizon, in control periods; the horizon is 5 s at cruise, 10 s in slow motion."""
 _STEPS = 6  # most Gauss-Newton steps at an instant
 FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
 COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
@@ -55,13 +61,14 @@ NMPC_GAINS = (*COST_GAINS, *FILTER_TUNING)
 """Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
 `Tuning`."""
 NMPC_ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
-"""Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
+"""Names of the gains with a filter that estimates faults: its `FaultTuning` replaces the `Tuning`."""
 
 
 class PredictiveControl:
-    """The controller with its filter, a `Controller`; its memory is the filter's, then the commands planned last.
+    """Model predictive control with its filter, a `Controller`.
 
-    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMAND_SIZE). Behind them is what `fins` remembers.
+    Its memory is that of the filter, then the last plan's commands, shape (N, K, COMMAND_SIZE), one for each stage of
+    `PREVIEW`, then that of `fin_model`.
     """
 
     preview = PREVIEW
@@ -70,77 +77,80 @@ class PredictiveControl:
         """Make the controller.
 
         Args:
-            gains: named in `NMPC_GAINS`, or in `NMPC_ADVERSE_GAINS`.
-            vehicle: that it believes in.
+            gains: with the names `NMPC_GAINS` or `NMPC_ADVERSE_GAINS`.
+            vehicle: the nominal one.
         """
         self.vehicle = vehicle
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         scale = {"surge": 0.01, "yaw": 0.01}
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
-        self.solve = partial(improved_plan, self.problem)  # a better plan, after at most so many steps, shape (N,)
-        self._next = one_period_on(np.array(PREVIEW, dtype=np.float64))
+        self.solve = partial(optimised_plan, self.problem)
+        self._shift = shift_matrix(np.array(PREVIEW, dtype=np.float64))
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
         return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMAND_SIZE)), np.zeros((n, 3))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        *believed, planned, seen = memory
-        held_out = believed[0].T[0] == 0  # the filter's count of updates
-        acting, kept, seen = fins(o, seen)
-        planned = planned * np.stack((np.ones_like(kept), kept), axis=1)[:, None]
-        after, z = self.filter.update(tuple(believed), terms := np.array(o))
-        aim, share = aims(extra), np.ones((COMMAND_SIZE, len(held_out)))
+        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
+        *filters, planned, fins = memory
+        first = filters[0].T[0] == 0  # number of updates of the filter
+        acting, rescaling, fins = fin_model(o, fins)
+        planned = planned * np.stack((np.ones_like(rescaling), rescaling), axis=1)[:, None]
+        after, z = self.filter.update(tuple(filters), terms := np.array(o))
+        target, share = targets(extra), np.ones((COMMAND_SIZE, len(first)))
         if self.filter.faults:
             faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
-            aim, share = later(aim, faults.delay), np.array((faults.surge_share, faults.yaw_share))
-            z = arrival(terms, z, self.vehicle)
-        ahead = horizon(terms, z, aim, share, acting)
+            target, share = delayed_targets(target, faults.delay), np.array((faults.surge_share, faults.yaw_share))
+            z = estimate_after_delay(terms, z, self.vehicle)
+        horizon = prediction_horizon(terms, z, target, share, acting)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), held_out, ahead)
-            plan = self.solve(guess, ahead, np.where(held_out, FIRST_STEPS, _STEPS))
-        # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
+            guess = self._initial_plan(z, o, np.einsum("jk,nki->jin", self._shift, planned), first, horizon)
+            plan = self.solve(guess, horizon, np.where(first, FIRST_STEPS, _STEPS))
+        # The prediction diverges for a vehicle that spins fast; the normalised law is stable in this state.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
         F_u, F_r = commands[0] / share
-        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), seen)
+        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), fins)
 
-    def _guess(self, z: Array, o: Observation, warm: Array, held_out: NDArray[np.bool_], ahead: Horizon) -> Plan:
-        """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
-        limits, load = ahead.limits, Estimate(*z)
+    def _initial_plan(self, z: Array, o: Observation, warm: Array, first: NDArray[np.bool_], horizon: Horizon) -> Plan:
+        """Return the better of two initial plans: the last plan, or constant commands with the reference's forces."""
+        limits, load = horizon.limits, Estimate(*z)
         steady = np.clip(np.array((o.F_uR - load.X, o.F_rR - load.N)), -limits, limits)
-        plan = self.problem.planned(z[:STATE_ROWS], np.broadcast_to(steady, warm.shape), ahead)
-        last = self.problem.planned(z[:STATE_ROWS], np.clip(warm, -limits, limits), ahead)
-        few = (~held_out & (last.cost <= plan.cost)).nonzero()[0]
-        return replaced(plan, few, taken(last, few))
+        plan = self.problem.predict(z[:STATE_ROWS], np.broadcast_to(steady, warm.shape), horizon)
+        last = self.problem.predict(z[:STATE_ROWS], np.clip(warm, -limits, limits), horizon)
+        better = (~first & (last.cost <= plan.cost)).nonzero()[0]
+        return replaced(plan, better, subset(last, better))
 
 
-def fins(o: Observation, seen: Array) -> tuple[Array, Array, Array]:
-    """Return how the torque of the yaw actuator depends on the speed, as its limit has shown.
+def fin_model(o: Observation, memory: Array) -> tuple[Array, Array, Array]:
+    """Return how the torque of the yaw actuator depends on the speed, identified from its observed limit.
 
-    The limit of fins is c u^2 with the measured surge speed u: two of them give them away. Where it is less than that,
-    as where full fins would break off, it is taken to stay as it is.
+    The torque limit of fins is c u^2 with the measured surge speed u. Two different limits with the same c identify
+    fins. If the present limit is not c u^2, for example because fins never exceed a largest torque, it is predicted to
+    be constant.
 
     Args:
         o: the observation.
-        seen: the last limit [N m], that over u^2 [kg], and c [kg], or 0 where no fins are known, shape (N, 3).
+        memory: the last limit [N m], the last limit over u^2 [kg], and c [kg], or 0 without fins, shape (N, 3).
 
     Returns:
-        `Stage.torque` and `Stage.fin`, shape (2, N); by what a torque planned at the last limit is to be multiplied so
-        that it is the same share of this one, shape (N,); and what has been seen now.
+        `Stage.torque` and `Stage.fin`, shape (2, N); the factor by which the limit has changed, shape (N,), with which
+        planned torques are scaled; and the memory for the next call.
     """
-    limit, (last, ratio, known) = np.asarray(o.F_r_max), seen.T
+    limit, (last, ratio, known) = np.asarray(o.F_r_max), memory.T
     now = limit / np.maximum(np.square(o.u_R + o.u_e), 1e-12)
     known = np.where((limit != last) & (np.abs(now - ratio) <= 1e-6 * now), now, known)
-    finned = (known > 0) & (np.abs(now - known) <= 1e-6 * known)
-    kept = np.where(finned & (last > 0), limit / np.where(last > 0, last, 1.0), 1.0)
-    return np.array((~finned, np.where(finned, known / limit, 0.0))), kept, np.stack((limit, now, known), axis=1)
+    has_fins = (known > 0) & (np.abs(now - known) <= 1e-6 * known)
+    factor = np.where(has_fins & (last > 0), limit / np.where(last > 0, last, 1.0), 1.0)
+    return np.array((~has_fins, np.where(has_fins, known / limit, 0.0))), factor, np.stack((limit, now, known), axis=1)
 
 
-def aims(extra: Array) -> Array:
-    """Return where the reference will be at the stages' ends [m], shape (K, 2, N); from where it is now, in the body.
+def targets(extra: Array) -> Array:
+    """Return the reference's positions at the ends of the stages, shape (K, 2, N) [m].
+
+    They are relative to the reference's position now, in the body frame.
 
     Args:
         extra: the preview, shape (N, 2 K) or wider.
@@ -149,74 +159,73 @@ def aims(extra: Array) -> Array:
     return extra[:, : 2 * stages].reshape(len(extra), stages, 2).transpose(1, 2, 0)
 
 
-def later(aim: Array, delay: Array) -> Array:
-    """Return where the reference will be at the stages' ends and a delay behind each, as `aims` does.
+def delayed_targets(target: Array, delay: Array) -> Array:
+    """Return the reference's positions a delay after the ends of the stages, in the form of `targets`.
 
     Args:
-        aim: without the delay.
-        delay: [periods], shape (N,), at most `LATE`; between whole numbers of periods the place is interpolated.
+        target: positions without the delay.
+        delay: [periods], shape (N,), at most `LATE`; positions at fractions of a period are interpolated.
     """
     weights = np.clip(1.0 - np.abs(delay - np.arange(LATE + 1.0)[:, None]), 0.0, 1.0)
-    return np.asarray(np.einsum("dkj,jin,dn->kin", _shifts(), aim, weights))
+    return np.asarray(np.einsum("dkj,jin,dn->kin", _delay_matrices(), target, weights))
 
 
 @cache
-def _shifts() -> Array:
-    """Return the matrices that take places at the stages' ends to those d periods later, shape (1 + LATE, K, K)."""
+def _delay_matrices() -> Array:
+    """Return matrices from positions at the ends of the stages to positions d periods later, shape (1 + LATE, K, K)."""
     from scipy.interpolate import CubicSpline
 
     ends = np.array((0.0, *PREVIEW))
-    spline = CubicSpline(ends, np.eye(len(ends)))  # of each place's share; that of now is the origin
+    spline = CubicSpline(ends, np.eye(len(ends)))  # weights of the positions; the first position is zero
     return np.stack([spline(ends[1:] + d)[:, 1:] for d in range(LATE + 1)])
 
 
-def horizon(o: Array, z: Array, aim: Array, share: Array, acting: Array) -> Horizon:
-    """Return the stages ahead.
+def prediction_horizon(o: Array, z: Array, target: Array, share: Array, acting: Array) -> Horizon:
+    """Return the stages of the horizon.
 
     Args:
         o: the rows of an `Observation`, shape (SIZE, N).
         z: the rows of an `Estimate`, shape (22, N).
-        aim: see `aims`.
+        target: see `targets`.
         share: of the commanded forces that act, shape (2, N).
-        acting: see `fins`, shape (2, N).
+        acting: `Stage.torque` and `Stage.fin`, shape (2, N).
     """
     stages, n = len(PREVIEW), o.shape[1]
     ends = np.array(PREVIEW, dtype=np.float64)
     lengths = np.diff(ends, prepend=0.0)
     periods = np.array((lengths, ends - 0.5 * lengths, np.arange(stages) == stages - 1)).T[:, :, None]
-    given = {"o": o, "z": z, "aim": aim, "acting": acting, "periods": np.broadcast_to(periods, (stages, 3, n))}
-    known = horizon_kernel()(stages, **given)["known"]
+    given = {"o": o, "z": z, "target": target, "acting": acting, "periods": np.broadcast_to(periods, (stages, 3, n))}
     first = Observation._fields.index("F_u_max")
-    return Horizon(known, share * o[first : first + COMMAND_SIZE])
+    return Horizon(horizon_kernel()(stages, **given)["stages"], share * o[first : first + COMMAND_SIZE])
 
 
 @cache
 def horizon_kernel() -> Kernel:
-    """Return the kernel of `foreseen_stage`; `periods` are its length, middle and whether it is the last one."""
+    """Return the kernel of `predicted_stage`; `periods` are length, middle, and 1 for the last stage."""
 
     def equation(
-        o: Sequence[Any], z: Sequence[Any], aim: Sequence[Any], acting: Sequence[Any], periods: Sequence[Any]
+        o: Sequence[Any], z: Sequence[Any], target: Sequence[Any], acting: Sequence[Any], periods: Sequence[Any]
     ) -> Mapping[str, Sequence[Any]]:
         length, middle, last = periods
-        found = foreseen_stage(Observation(*o), Estimate(*z), aim, length, middle, SYMBOLS)
-        return {"known": found._replace(last=last, torque=acting[0], fin=acting[1])}
+        stage = predicted_stage(Observation(*o), Estimate(*z), target, length, middle, SYMBOLS)
+        return {"stages": stage._replace(last=last, torque=acting[0], fin=acting[1])}
 
-    rows = {"o": len(Observation._fields), "z": STATE_SIZE, "aim": 2, "acting": 2, "periods": 3}
-    return Kernel.traced(equation, rows, ("aim", "periods", "known"), blocked=True)
+    rows = {"o": len(Observation._fields), "z": STATE_SIZE, "target": 2, "acting": 2, "periods": 3}
+    return Kernel.traced(equation, rows, ("target", "periods", "stages"), blocked=True)
 
 
-def foreseen_stage(
-    o: Observation, z: Estimate, aim: Sequence[Number], length: Number, middle: Number, ns: Namespace
+def predicted_stage(
+    o: Observation, z: Estimate, target: Sequence[Number], length: Number, middle: Number, ns: Namespace
 ) -> Stage:
-    """Return a stage with the sea as it is foreseen in its middle, not the last one, its torque that of no fins.
+    """Return a stage with the disturbances predicted in its middle; `last`, `torque` and `fin` are 0, 1 and 0.
 
-    Waves swing on and the current goes the way that the filter believes; but the slowly varying load stays as it is:
-    most of it is what makes the model wrong, and that lasts.
+    Waves and current are predicted by the filter's model. The slowly varying load is constant: it is mostly the effect
+    of model errors, which persist.
 
     Args:
         o: the observation in SI units.
-        z: what the filter believes with it.
-        aim: where the reference will be at the stage's end, from the vehicle, in the body frame [m].
+        z: the filter's estimate for it.
+        target: position of the reference at the end of the stage, see `targets` [m].
         length: of the stage in control periods.
         middle: of the stage, in control periods from now.
         ns: the namespace of the numbers.
@@ -224,14 +233,14 @@ def foreseen_stage(
     dt, ahead = length * o.dt, middle * o.dt
     X, _, Y, _, N, _ = waves_after(z, wave_transition(ahead, ns))
     response = lag_response(z.lag, dt, ns)
-    place, current = to_world(aim[0], aim[1], o.cos_psi, o.sin_psi), current_after(z, ahead, ns)
+    position, current = to_world(target[0], target[1], o.cos_psi, o.sin_psi), current_after(z, ahead, ns)
     return Stage(
-        dt, *place, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0, 1.0, 0.0
+        dt, *position, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0, 1.0, 0.0
     )
 
 
-def one_period_on(ends: Array) -> Array:
-    """Return the matrix that takes commands of stages with these ends [periods] to the means one period later."""
+def shift_matrix(ends: Array) -> Array:
+    """Return the matrix from the commands of stages with these ends [periods] to their means one period later."""
     starts = np.append(0.0, ends[:-1])
     until = np.append(ends[:-1], np.inf)
     overlap = np.minimum(until, ends[:, None] + 1) - np.maximum(starts, starts[:, None] + 1)
@@ -244,13 +253,13 @@ def make_nmpc(
     vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
     adverse: bool = False,
 ) -> Remembering:
-    """Return the controller as a policy; it needs the preview `PREVIEW`.
+    """Return the controller as a policy; it requires the preview `PREVIEW`.
 
     Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`,
-            or in `NMPC_ADVERSE_GAINS`.
-        vehicle: the vehicle that it believes in; an object, a name or a dict.
-        adverse: whether its filter believes in faults of sensors and actuators.
+        gains: used at every speed instead of the tuned gains, which depend on the speed; their names are `NMPC_GAINS`
+            or `NMPC_ADVERSE_GAINS`.
+        vehicle: nominal model; an object, a name or a dict.
+        adverse: whether the filter estimates faults of sensors and actuators.
 
     Raises:
         ValueError: unknown vehicle or wrong gains.

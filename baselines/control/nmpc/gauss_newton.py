@@ -1,9 +1,9 @@
 """Gauss-Newton steps for the optimal control of many vehicles at once, by a Riccati recursion.
 
 The method is the control-limited differential dynamic programming of Y. Tassa, N. Mansard and E. Todorov (IEEE ICRA
-2014, pp. 1168-1175) with the Gauss-Newton Hessian: backward through the horizon to a policy, then forward with the
-nonlinear model. A few steps from the last instant's commands at each instant are the real-time iteration of M. Diehl,
-H. G. Bock and J. P. Schloeder (SIAM J. Control Optim. 43(5):1714-1736, 2005).
+2014, pp. 1168-1175) with the Gauss-Newton Hessian: a backward pass computes a feedback policy, a forward pass applies
+it to the nonlinear model. Each control instant starts from the last commands and takes a few steps. This is the
+real-time iteration of M. Diehl, H. G. Bock and J. P. Schloeder (SIAM J. Control Optim. 43(5):1714-1736, 2005).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
     COMMAND_SIZE,
     CONSTANTS,
-    KNOWN,
+    STAGE_ROWS,
     STATE_ROWS,
     CostWeights,
+    GaussNewtonStep,
     Horizon,
-    Improvement,
     Integers,
     OptimalControl,
     Plan,
@@ -36,88 +36,88 @@ from baselines.control.nmpc.problem import (
     actuated,
     constants,
     error_weight,
+    next_state,
     replaced,
-    stage,
     stage_costs,
-    taken,
+    subset,
 )
 from baselines.estimation.sea_model import MOTION_STATES, PLACE
 
 _LENGTHS = (1.0, 0.3, 0.05)
-"""Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
-_TOLERANCE = 0.2  # steps go on while they break their promise by more than this share of the cost
-_NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in that comparison, so that steps end where nothing is left to gain
+"""Fractions of a step in the line search, in this order. If none lowers the cost, the commands stay unchanged."""
+_TOLERANCE = 0.2  # iteration ends if actual and predicted decrease differ by less than this fraction of the cost
+_NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in this comparison, so that iteration ends at costs near zero
 
 
-def improved_plan(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
-    """Return a better plan after up to `steps`, shape (N,), Gauss-Newton steps."""
-    few = (steps > 0).nonzero()[0]
+def optimised_plan(problem: OptimalControl, plan: Plan, horizon: Horizon, steps: Integers) -> Plan:
+    """Return the plan after at most `steps`, shape (N,), Gauss-Newton steps."""
+    active = (steps > 0).nonzero()[0]
     for i in range(int(steps.max(initial=0))):
-        before = taken(plan, few)
-        after, promise = improved(problem, before, taken(ahead, few))
-        plan = replaced(plan, few, after)
-        broken = np.abs(before.cost - after.cost - promise) > _TOLERANCE * (after.cost + _NEGLIGIBLE)
-        few = few[broken & (i + 1 < steps[few])]
-        if not few.size:
+        before = subset(plan, active)
+        after, decrease = after_step(problem, before, subset(horizon, active))
+        plan = replaced(plan, active, after)
+        inexact = np.abs(before.cost - after.cost - decrease) > _TOLERANCE * (after.cost + _NEGLIGIBLE)
+        active = active[inexact & (i + 1 < steps[active])]
+        if not active.size:
             break
     return plan
 
 
-def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan, Array]:
-    """Return the plan after one Gauss-Newton step, or a part of one where the whole raises the cost; its promise."""
-    way, best = descent(problem, plan, ahead), plan
-    few = np.arange(len(plan.cost))
+def after_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> tuple[Plan, Array]:
+    """Return the plan after one Gauss-Newton step with line search, and the predicted decrease of the full step."""
+    full, best = gauss_newton_step(problem, plan, horizon), plan
+    active = np.arange(len(plan.cost))
     for length in _LENGTHS:
-        old, change = taken(plan, few), taken(way, few)
-        trial = problem.planned(old.states[0], old.commands + length * change.step, taken(ahead, few), old, change)
+        old, change = subset(plan, active), subset(full, active)
+        commands = old.commands + length * change.step
+        trial = problem.predict(old.states[0], commands, subset(horizon, active), old, change)
         better = trial.cost <= old.cost
-        best = replaced(best, few[better], taken(trial, better.nonzero()[0]))
-        few = few[~better]
-        if not few.size:
+        best = replaced(best, active[better], subset(trial, better.nonzero()[0]))
+        active = active[~better]
+        if not active.size:
             break
-    return best, way.promise
+    return best, full.decrease
 
 
-def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Improvement:
-    """Return the Gauss-Newton step at a plan, with commands within their limits, see `descended`."""
+def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> GaussNewtonStep:
+    """Return the Gauss-Newton step at a plan, with commands within their limits, see `riccati_step`."""
     steps, _, n = plan.commands.shape
-    step, feedback, promise = (
+    step, feedback, decrease = (
         np.empty_like(plan.commands),
         np.empty((steps, COMMAND_SIZE * STATE_ROWS, n)),
         np.zeros((1, n)),
     )
-    descent_kernel().bound(
+    riccati_kernel().bound(
         slope=np.zeros((STATE_ROWS, n)),
         curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
-        promise=promise,
+        decrease=decrease,
         state=plan.states[:-1],
         command=plan.commands,
         after=plan.states[1:],
-        known=ahead.known,
+        stage=horizon.stages,
         constant=problem.constant(n),
-        limits=ahead.limits,
+        limits=horizon.limits,
         step=step,
         feedback=feedback,
     )(0, steps)
-    return Improvement(step, feedback, promise[0])
+    return GaussNewtonStep(step, feedback, decrease[0])
 
 
 @cache
-def descent_kernel() -> Kernel:
-    """Return the kernel of `descended`, which goes from the last stage to the first."""
+def riccati_kernel() -> Kernel:
+    """Return the kernel of `riccati_step`, which runs from the last stage to the first."""
 
     def equation(
-        slope: Any, curvature: Any, promise: Any, known: Any, constant: Any, limits: Any, **plan: Any
+        slope: Any, curvature: Any, decrease: Any, stage: Any, constant: Any, limits: Any, **plan: Any
     ) -> Mapping[str, Sequence[Any]]:
         coefficients, weights = constants(constant)
-        ahead = Stage(*known)
-        slope, V_xx, step, feedback, gained = descended(
+        slope, V_xx, step, feedback, gained = riccati_step(
             slope,
             symmetric(curvature),
             plan["state"],
             plan["command"],
             plan["after"],
-            ahead,
+            Stage(*stage),
             coefficients,
             weights,
             limits,
@@ -125,49 +125,49 @@ def descent_kernel() -> Kernel:
         return {
             "slope": slope,
             "curvature": triangle(V_xx),
-            "promise": [promise[0] + gained],
+            "decrease": [decrease[0] + gained],
             "step": step,
             "feedback": [x for row in feedback for x in row],
         }
 
-    rows = {"slope": STATE_ROWS, "curvature": STATE_ROWS * (STATE_ROWS + 1) // 2, "promise": 1, "state": STATE_ROWS}
+    rows = {"slope": STATE_ROWS, "curvature": STATE_ROWS * (STATE_ROWS + 1) // 2, "decrease": 1, "state": STATE_ROWS}
     rows |= {
         "command": COMMAND_SIZE,
         "after": STATE_ROWS,
-        "known": KNOWN,
+        "stage": STAGE_ROWS,
         "constant": CONSTANTS,
         "limits": COMMAND_SIZE,
     }
-    over_time = ("state", "command", "after", "known", "step", "feedback")
+    over_time = ("state", "command", "after", "stage", "step", "feedback")
     return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)
 
 
-def descended(
+def riccati_step(
     V_x: Sequence[Any],
     V_xx: Matrix,
     state: Sequence[Any],
     command: Sequence[Any],
     after: Sequence[Any],
-    known: Stage,
+    stage: Stage,
     coefficients: Coefficients,
     weights: CostWeights,
     limits: Sequence[Any],
 ) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
-    """Return V_x and V_xx one stage earlier, step and feedback of the command, and what they promise; on symbols.
+    """Return V_x, V_xx one stage earlier, step and feedback of the command, and the predicted decrease; on symbols.
 
-    Names and recursion are those of section II of Tassa et al., backward from the last stage. With f the derivative of
-    a stage, Q_1 = l_1 + f^T V_x and Q_2 = l_2 + f^T V_xx f are those of the cost to go by state x and command u; k is
-    the step within the limits, K = -Q_uu^-1 Q_ux the feedback of the commands that they leave free; and
-    V_x = Q_x + Q_xu k, V_xx = Q_xx + Q_xu K are the derivatives by the state alone, one stage earlier.
+    Notation and recursion are those of section II of Tassa et al. With f the Jacobian of a stage, Q_1 = l_1 + f^T V_x
+    and Q_2 = l_2 + f^T V_xx f are the derivatives of the cost to go with respect to state x and command u. k is the
+    step within the limits, and K = -Q_uu^-1 Q_ux the feedback of the commands that are not at a limit.
+    V_x = Q_x + Q_xu k and V_xx = Q_xx + Q_xu K are the derivatives with respect to the state, one stage earlier.
     """
     both = [*state, *command]
-    error, sway, effort = stage_costs(state, command, after, known, weights, SYMBOLS)
+    error, sway, effort = stage_costs(state, command, after, stage, weights, SYMBOLS)
     V_x = _sum(V_x, gradient([error, sway], [1.0, 1.0], after))
     V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
-    touching = _error_curvature(after, known, weights)
+    curvature = _error_curvature(after, stage, weights)
     for axis in (PLACE.x_e, PLACE.y_e):
-        V_xx[axis][axis] = V_xx[axis][axis] + touching
-    columns = list(zip(*stage_jacobian(state, command, known, coefficients), strict=True))
+        V_xx[axis][axis] = V_xx[axis][axis] + curvature
+    columns = list(zip(*stage_jacobian(state, command, stage, coefficients), strict=True))
     Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
     Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
     return feedback_law(Q_1, Q_2, command, limits)
@@ -176,15 +176,15 @@ def descended(
 def feedback_law(
     Q_1: Sequence[Any], Q_2: Matrix, command: Sequence[Any], limits: Sequence[Any]
 ) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
-    """Return V_x and V_xx, step and feedback of the command, and what they promise, from Q_1 and Q_2; on symbols.
+    """Return V_x, V_xx, step and feedback of the command, and the predicted decrease, from Q_1 and Q_2; on symbols.
 
-    See `descended`. The state comes first in Q_1 and Q_2, then the command, two numbers.
+    See `riccati_step`. In Q_1 and Q_2 the n entries of the state come before the two of the command.
 
     Args:
         Q_1: first derivatives of the cost to go, n + 2 symbols.
         Q_2: second derivatives, n + 2 rows.
-        command: now.
-        limits: of its two numbers, either way.
+        command: two symbols.
+        limits: largest absolute values of the command.
     """
     n = len(Q_1) - COMMAND_SIZE
     Q_u, Q_uu, Q_ux = Q_1[n:], [row[n:] for row in Q_2[n:]], [row[:n] for row in Q_2[n:]]
@@ -198,23 +198,23 @@ def feedback_law(
     return V_x, V_xx, k, K, gained
 
 
-def stage_jacobian(state: Sequence[Any], command: Sequence[Any], known: Stage, coefficients: Coefficients) -> Matrix:
-    """Return the derivative of `stage` by state and command, `STATE_ROWS` rows; on symbols.
+def stage_jacobian(state: Sequence[Any], command: Sequence[Any], stage: Stage, coefficients: Coefficients) -> Matrix:
+    """Return the Jacobian of `next_state` with respect to state and command, `STATE_ROWS` rows; on symbols.
 
-    The vehicle's motion depends on state and command by way of the mean loads.
+    The chain rule over the mean loads, on which the motion depends, needs fewer operations.
     """
-    both, after = [*state, *command], stage(state, command, known, coefficients, SYMBOLS)
-    X, N, *_ = actuated(state, command, known)
+    both, after = [*state, *command], next_state(state, command, stage, coefficients, SYMBOLS)
+    X, N, *_ = actuated(state, command, stage)
     acting = [*state[MOTION_STATES], X, N]
     motion = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))
     return [*motion, *jacobian(after[MOTION_STATES.stop :], both)]
 
 
-def _error_curvature(after: Sequence[Any], known: Stage, weights: CostWeights) -> Any:
-    """Return the curvature of the parabola that touches the position error's cost from above: never too small."""
-    x_e, y_e = after[PLACE.x_e] - known.aim_x, after[PLACE.y_e] - known.aim_y
+def _error_curvature(after: Sequence[Any], stage: Stage, weights: CostWeights) -> Any:
+    """Return the curvature of the quadratic majorant that touches the cost of the position error."""
+    x_e, y_e = after[PLACE.x_e] - stage.target_x, after[PLACE.y_e] - stage.target_y
     return (
-        2 * error_weight(known, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
+        2 * error_weight(stage, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
     )
 
 
@@ -233,13 +233,13 @@ def bounded_minimum(
     high: Sequence[Number],
     ns: Namespace,
 ) -> tuple[tuple[Number, Number], tuple[Any, Any]]:
-    """Return the minimum of c^T H c / 2 + g^T c with low <= c <= high, and which of its entries are free.
+    """Return the minimiser c of c^T H c / 2 + g^T c with low <= c <= high, and which of its entries are not at a bound.
 
     Args:
         H: the entries (0, 0), (0, 1) and (1, 1) of a positive definite matrix.
-        g: two numbers, as the bounds and the result.
-        low: least entries.
-        high: largest entries.
+        g: two numbers, like the bounds and the result.
+        low: lower bounds.
+        high: upper bounds.
         ns: the namespace of the numbers.
     """
     a, b, d = H
@@ -258,7 +258,7 @@ def _on_the_edge(
     high: Sequence[Number],
     ns: Namespace,
 ) -> tuple[Number, Number]:
-    """Return the least of the minima on the four edges."""
+    """Return the minimiser on the four edges of the box."""
     a, b, d = H
     best_u, best_r, least = low[0], low[1], math.inf
     for i in range(2):
@@ -275,13 +275,13 @@ def _on_the_edge(
 
 
 def _feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
-    """Return how the free commands follow the state, `COMMAND_SIZE` rows of `STATE_ROWS`; on symbols."""
+    """Return the feedback matrix of the free commands, `COMMAND_SIZE` rows of `STATE_ROWS`; on symbols."""
     where, (free_u, free_r) = SYMBOLS.where, free
     first, second = [where(free_u, q, 0.0) for q in Q_ux[0]], [where(free_r, q, 0.0) for q in Q_ux[1]]
-    a, d = where(free_u, Q_uu[0][0], 1.0), where(free_r, Q_uu[1][1], 1.0)  # of a fixed command there remains c = 0
+    a, d = where(free_u, Q_uu[0][0], 1.0), where(free_r, Q_uu[1][1], 1.0)  # a command at a limit has zero feedback
     b = where(free_u & free_r, Q_uu[0][1], 0.0)
-    share = 1.0 / (a * d - b * b)
-    a, b, d = a * share, b * share, d * share  # Cramer's rule
+    inverse = 1.0 / (a * d - b * b)
+    a, b, d = a * inverse, b * inverse, d * inverse  # Cramer's rule
     return [
         [b * y - d * x for x, y in zip(first, second, strict=True)],
         [b * x - a * y for x, y in zip(first, second, strict=True)],

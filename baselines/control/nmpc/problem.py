@@ -1,7 +1,4 @@
-"""An optimal control problem for many vehicles at once: what is known, what is predicted, and what it costs.
-
-`gauss_newton` solves it by kernels.
-"""
+"""Optimal control problem of predictive control for many vehicles: data, prediction and cost."""
 
 from __future__ import annotations
 
@@ -26,25 +23,25 @@ from baselines.estimation.sea_model import PLACE
 Integers = NDArray[np.int64]
 
 STATE_ROWS = PLACE.V_x
-"""Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators
-apply, F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
-COMMAND_SIZE = 2  # how many values a command has: F_u [N], F_r [N m]
+"""Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], forces of the
+actuators F_u [N], F_r [N m]. These are the first rows of an `Estimate`."""
+COMMAND_SIZE = 2  # F_u [N], F_r [N m]
 
 
 @dataclass(frozen=True)
 class CostWeights:
-    """What is minimised: the integral over the horizon of H(e) + (surge dF_u)^2 + (yaw dF_r)^2 + (sway v)^2.
+    """Weights of the cost: the integral over the horizon of H(e) + (surge dF_u)^2 + (yaw dF_r)^2 + (sway v)^2.
 
-    e is the position error; H(e) = 2 huber^2 (sqrt(1 + e^2/huber^2) - 1), the pseudo-Huber function, is e^2 where e is
-    small; dF is a command less what the actuator applies. Speed through the water sideways is what the many bad minima
-    have in common that turn or go astern.
+    e is the position error, and H(e) = 2 huber^2 (sqrt(1 + e^2/huber^2) - 1) the pseudo-Huber function, which is e^2
+    for small e. dF is a command minus the force that the actuator applies. The cost of the sway velocity v avoids local
+    minima in which the vehicle turns around or moves astern.
     """
 
-    huber: float  # [m] error from which its cost grows in proportion only
+    huber: float  # [m] error above which its cost grows linearly
     surge: float  # [m/N]
     yaw: float  # [1/N]
     sway: float  # [s]
-    terminal: float  # [s] how long the error at the end counts on
+    terminal: float  # [s] additional time for which the error at the end of the horizon is counted
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -57,119 +54,119 @@ _WEIGHTS = tuple(field.name for field in fields(CostWeights))
 
 
 class Stage(NamedTuple):
-    """One stage ahead, as it is known."""
+    """Data of one stage of the horizon."""
 
-    dt: Number  # [s] how long it lasts
-    aim_x: Number  # [m] where the vehicle should be at its end, in the world
-    aim_y: Number  # [m]
+    dt: Number  # [s] length
+    target_x: Number  # [m] desired position at the end, in the world
+    target_y: Number  # [m]
     V_x: Number  # [m/s] current
     V_y: Number  # [m/s]
-    X: Number  # [N] load on the hull
+    X: Number  # [N] load on the vehicle
     Y: Number  # [N]
     N: Number  # [N m]
-    gain: Number  # share of the way to the command that the actuators' force has made at its end
-    share: Number  # the same of its mean
+    gain: Number  # step response of the actuators at the end of the stage
+    share: Number  # mean step response of the actuators in the stage
     last: Number  # 1 for the last stage of a horizon, 0 for the others
-    torque: Number  # share of a commanded torque that acts at any speed: 1, of fins 0
-    fin: Number  # [s^2/m^2] share of it that acts per squared surge speed: that of fins, else 0
+    torque: Number  # share of a commanded torque that acts at any speed: 0 for fins, else 1
+    fin: Number  # [s^2/m^2] share of a commanded torque per squared surge speed, for fins; else 0
 
 
-KNOWN = len(Stage._fields)  # how many numbers a stage is known by
+STAGE_ROWS = len(Stage._fields)  # number of entries of a stage
 
 
 class Horizon(NamedTuple):
-    """K stages ahead of N vehicles."""
+    """K future stages of N vehicles."""
 
-    known: Array  # the rows of a `Stage`, shape (K, KNOWN, N)
+    stages: Array  # the rows of a `Stage`, shape (K, STAGE_ROWS, N)
     limits: Array  # [N], [N m] of the commands, shape (2, N)
 
 
 class Plan(NamedTuple):
-    """Commands and what comes of them."""
+    """Commands with the predicted states and cost."""
 
     commands: Array  # shape (K, COMMAND_SIZE, N)
     states: Array  # shape (K + 1, STATE_ROWS, N)
-    cost: Array  # [m^2 s], shape (N,); infinite where no finite states come of them
+    cost: Array  # [m^2 s], shape (N,); infinite if the states are not finite
 
 
-class Improvement(NamedTuple):
-    """How commands should change: by `step` + `feedback` (state - state of the plan)."""
+class GaussNewtonStep(NamedTuple):
+    """Change of the commands of a plan: `step` + `feedback` (state - state of the plan)."""
 
     step: Array  # shape (K, COMMAND_SIZE, N)
     feedback: Array  # shape (K, COMMAND_SIZE * STATE_ROWS, N): the rows of K matrices one after the other
-    promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
+    decrease: Array  # [m^2 s] decrease of the cost predicted by the quadratic model, shape (N,)
 
 
 _Rows = TypeVar("_Rows", bound=Any)
-"""A named tuple of arrays whose last axis goes through vehicles, as `Horizon`, `Plan` and `Improvement` are."""
+"""A named tuple of arrays whose last axis is that of the vehicles, such as `Horizon`, `Plan` and `GaussNewtonStep`."""
 
 
-def taken(rows: _Rows, few: Integers) -> _Rows:
-    """Return what belongs to a few of the vehicles; the arrays may be the given ones where that is all of them."""
-    if len(few) == rows[0].shape[-1]:
+def subset(rows: _Rows, indices: Integers) -> _Rows:
+    """Return the rows of some of the vehicles; if these are all vehicles, the arrays are not copied."""
+    if len(indices) == rows[0].shape[-1]:
         return rows
-    return cast(_Rows, rows._make(np.take(a, few, axis=-1) for a in rows))
+    return cast(_Rows, rows._make(np.take(a, indices, axis=-1) for a in rows))
 
 
-def replaced(rows: _Rows, few: Integers, others: _Rows) -> _Rows:
-    """Return a copy in which what belongs to a few of the vehicles is replaced."""
-    if len(few) == rows[0].shape[-1]:
+def replaced(rows: _Rows, indices: Integers, others: _Rows) -> _Rows:
+    """Return a copy in which the rows of some of the vehicles are replaced."""
+    if len(indices) == rows[0].shape[-1]:
         return others
     copies = [a.copy() for a in rows]
     for a, b in zip(copies, others, strict=True):
-        a[..., few] = b
+        a[..., indices] = b
     return cast(_Rows, rows._make(copies))
 
 
-def _missing(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number]:
-    """Return F_u [N], F_r [N m] of a command less what the actuators apply; of fins at the speed of the state."""
+def _force_errors(state: Sequence[Number], command: Sequence[Number], stage: Stage) -> tuple[Number, Number]:
+    """Return F_u [N], F_r [N m] of a command at the speed of the state, minus the forces that the actuators apply."""
     _, _, _, u, _, _, F_u, F_r = state
-    return command[0] - F_u, command[1] * (known.torque + known.fin * u * u) - F_r
+    return command[0] - F_u, command[1] * (stage.torque + stage.fin * u * u) - F_r
 
 
-def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number, Number, Number]:
-    """Return the mean loads X [N], N [N m] on the hull over a stage, and the actuators' F_u, F_r at its end."""
+def actuated(state: Sequence[Number], command: Sequence[Number], stage: Stage) -> tuple[Number, Number, Number, Number]:
+    """Return the mean loads X [N], N [N m] on the vehicle in a stage, and the actuators' F_u, F_r at its end."""
     *_, F_u, F_r = state
-    missing_u, missing_r = _missing(state, command, known)
-    mean_u, mean_r = F_u + known.share * missing_u, F_r + known.share * missing_r
-    return mean_u + known.X, mean_r + known.N, F_u + known.gain * missing_u, F_r + known.gain * missing_r
+    error_u, error_r = _force_errors(state, command, stage)
+    mean_u, mean_r = F_u + stage.share * error_u, F_r + stage.share * error_r
+    return mean_u + stage.X, mean_r + stage.N, F_u + stage.gain * error_u, F_r + stage.gain * error_r
 
 
-def stage(
-    state: Sequence[Number], command: Sequence[Number], known: Stage, coefficients: Coefficients, ns: Any
+def next_state(
+    state: Sequence[Number], command: Sequence[Number], stage: Stage, coefficients: Coefficients, ns: Any
 ) -> list[Number]:
-    """Return the `STATE_ROWS` components of the state at a stage's end."""
+    """Return the `STATE_ROWS` components of the state at the end of a stage."""
     x, y, psi, u, v, r, *_ = state
-    X, N, *force = actuated(state, command, known)
-    load, current = (X, known.Y, N), (known.V_x, known.V_y)
-    return [*rk4_step((x, y, psi, u, v, r), load, coefficients, known.dt, current, ns), *force]
+    X, N, *force = actuated(state, command, stage)
+    load, current = (X, stage.Y, N), (stage.V_x, stage.V_y)
+    return [*rk4_step((x, y, psi, u, v, r), load, coefficients, stage.dt, current, ns), *force]
 
 
 def stage_costs(
     state: Sequence[Number],
     command: Sequence[Number],
     after: Sequence[Number],
-    known: Stage,
+    stage: Stage,
     weights: CostWeights,
     ns: Any,
 ) -> tuple[Number, Number, Number]:
-    """Return the costs [m^2 s] of a stage: of the position error and the sway at its end, and of the commands."""
+    """Return the costs [m^2 s] of a stage: of the position error and of the sway at its end, and of the commands."""
     x, y, _, _, v, *_ = after
-    x_e, y_e = x - known.aim_x, y - known.aim_y
-    missing_u, missing_r = _missing(state, command, known)
+    x_e, y_e = x - stage.target_x, y - stage.target_y
+    error_u, error_r = _force_errors(state, command, stage)
     square = weights.huber * weights.huber
     error = 2 * square * (ns.sqrt(1 + (x_e * x_e + y_e * y_e) / square) - 1)
-    effort = (weights.surge * missing_u) ** 2 + (weights.yaw * missing_r) ** 2
-    return error_weight(known, weights) * error, known.dt * (weights.sway * v) ** 2, known.dt * effort
+    effort = (weights.surge * error_u) ** 2 + (weights.yaw * error_r) ** 2
+    return error_weight(stage, weights) * error, stage.dt * (weights.sway * v) ** 2, stage.dt * effort
 
 
-def error_weight(known: Stage, weights: CostWeights) -> Number:
-    """Return the time [s] that the position error at a stage's end counts for."""
-    return known.dt + known.last * weights.terminal
+def error_weight(stage: Stage, weights: CostWeights) -> Number:
+    """Return the weight [s] of the position error at the end of a stage."""
+    return stage.dt + stage.last * weights.terminal
 
 
 CONSTANTS = VEHICLE_ROWS + len(_WEIGHTS)
-"""How many rows tell a kernel of the problem: vehicle, then weights."""
+"""Number of rows of a kernel's input that describe the problem: vehicle, then weights."""
 
 
 def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
@@ -180,64 +177,64 @@ def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
 
 @cache
 def prediction_kernel(feedback: bool) -> Kernel:
-    """Return the kernel that predicts, stage by stage, what comes of commands.
+    """Return the kernel that predicts states and cost for given commands, stage by stage.
 
     Args:
-        feedback: whether to add what a descent wants for states that are not those of its plan, within the limits.
+        feedback: whether to add the feedback of a Gauss-Newton step to the commands, and to clip them to the limits.
     """
 
-    def equation(state: Any, cost: Any, known: Any, constant: Any, commands: Any, **descent: Any) -> Mapping[str, Any]:
-        ahead, (coefficients, weights) = Stage(*known), constants(constant)
+    def equation(state: Any, cost: Any, stage: Any, constant: Any, commands: Any, **change: Any) -> Mapping[str, Any]:
+        stage, (coefficients, weights) = Stage(*stage), constants(constant)
         command = [*commands]
         for i in range(COMMAND_SIZE if feedback else 0):
-            limit, gains = descent["limits"][i], descent["gains"][i * STATE_ROWS : (i + 1) * STATE_ROWS]
-            for gain, a, b in zip(gains, state, descent["planned"], strict=True):
+            limit, gains = change["limits"][i], change["gains"][i * STATE_ROWS : (i + 1) * STATE_ROWS]
+            for gain, a, b in zip(gains, state, change["planned"], strict=True):
                 command[i] = command[i] + gain * (a - b)
             command[i] = SYMBOLS.clip(command[i], -limit, limit)
-        after = stage(state, command, ahead, coefficients, SYMBOLS)
-        costs = stage_costs(state, command, after, ahead, weights, SYMBOLS)
+        after = next_state(state, command, stage, coefficients, SYMBOLS)
+        costs = stage_costs(state, command, after, stage, weights, SYMBOLS)
         applied = {"applied": command} if feedback else {}
         return {"state": after, "cost": [cost[0] + costs[0] + costs[1] + costs[2]], "states": after, **applied}
 
-    rows = {"state": STATE_ROWS, "cost": 1, "known": KNOWN, "constant": CONSTANTS, "commands": COMMAND_SIZE}
+    rows = {"state": STATE_ROWS, "cost": 1, "stage": STAGE_ROWS, "constant": CONSTANTS, "commands": COMMAND_SIZE}
     if feedback:
         rows |= {"limits": COMMAND_SIZE, "planned": STATE_ROWS, "gains": COMMAND_SIZE * STATE_ROWS}
-    over_time = ("known", "commands", "states", "applied", "planned", "gains")
+    over_time = ("stage", "commands", "states", "applied", "planned", "gains")
     return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
 
 @dataclass(frozen=True)
 class OptimalControl:
-    """The problem of a vehicle as it is known; warnings of overflow are for the caller to silence."""
+    """The problem for a nominal vehicle. The caller must silence warnings of overflow."""
 
     vehicle: Vehicle
     weights: CostWeights
 
     def constant(self, n: int) -> Array:
-        """Return the `CONSTANTS` of n vehicles."""
+        """Return the rows of vehicle and weights for n vehicles, shape (CONSTANTS, n)."""
         return repeated(np.array((*self.vehicle.coefficients, *astuple(self.weights)))[:, None], n)
 
-    def planned(
+    def predict(
         self,
         start: Array,
         commands: Array,
-        ahead: Horizon,
+        horizon: Horizon,
         plan: Plan | None = None,
-        descent: Improvement | None = None,
+        change: GaussNewtonStep | None = None,
     ) -> Plan:
-        """Return what follows from commands, shape (K, COMMAND_SIZE, N), from a state, shape (STATE_ROWS, N).
+        """Return the plan of commands, shape (K, COMMAND_SIZE, N), from a state, shape (STATE_ROWS, N).
 
-        With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
-        and they are kept within the limits.
+        With a plan and a Gauss-Newton step from it, the feedback of the step is added to the commands, which are then
+        clipped to the limits. The commands must include `step` already.
         """
         steps, _, n = commands.shape
         states, cost = np.empty((steps + 1, STATE_ROWS, n)), np.zeros((1, n))
         states[0], commands = start, np.ascontiguousarray(commands)
-        arrays = {"state": states[0].copy(), "cost": cost, "known": ahead.known, "constant": self.constant(n)}
+        arrays = {"state": states[0].copy(), "cost": cost, "stage": horizon.stages, "constant": self.constant(n)}
         arrays |= {"commands": commands, "states": states[1:]}
-        if plan is not None and descent is not None:
-            following = {"limits": ahead.limits, "planned": plan.states[:-1], "gains": descent.feedback}
-            prediction_kernel(True).bound(**arrays, **following, applied=(applied := np.empty_like(commands)))(0, steps)
+        if plan is not None and change is not None:
+            arrays |= {"limits": horizon.limits, "planned": plan.states[:-1], "gains": change.feedback}
+            prediction_kernel(True).bound(**arrays, applied=(applied := np.empty_like(commands)))(0, steps)
         else:
             prediction_kernel(False).bound(**arrays)(0, steps)
             applied = commands

@@ -1,1 +1,1 @@
-"""Reference policies with full information: they see the true state and all disturbances, now and in future."""
+"""Reference policies with full information: the true state and all present and future disturbances."""

@@ -1,16 +1,18 @@
-"""The oracle: plant, current, waves and actuators are known, now and in future; the score's 1 in the oldest suites.
+"""The oracle: a regulator with full information about vehicle, actuators, current and waves.
 
-It plans in the water frame with the true vehicle: where the water moves with c(t), the vehicle has to move through it
-with p_R' - c, whose rates are p_R'' - c', p_R''' - c''. The waves' sway force enters the equation of the sideslip,
-the rest of them is cancelled by the forces. Errors of the true state are fed back by a linear-quadratic regulator for
-the true vehicle. A command is such that the mean force over the period is the wanted one in spite of the lag; where it
-comes late, it is made for the state foretold. The current of a shear is that on the path. Each episode is rehearsed
-before it is run, and one that goes astray under its regulator gets a softer one.
+It has score 1 in the oldest suites.
 
-Its numbers with units are those for the paper's vehicle; for another one they are the similar ones
-(`auv_gym.physics.units`).
+It plans in the water frame with the true vehicle: in water that moves with c(t), the velocity through the water is
+p_R' - c, with the rates p_R'' - c' and p_R''' - c''. The sway force of the waves enters the equation of the sideslip;
+their other loads are cancelled by the actuators' forces. A linear-quadratic regulator for the true vehicle feeds back
+errors of the true state. The command compensates the actuators' lag, so that the mean force in the period is the
+desired one. With a delay, the command is computed for the predicted state. In a shear the plan uses the current on the
+path. Each episode is simulated beforehand; if it diverges, its regulator is replaced by one with lower gains.
 
-It is a reference, not a bound, which `clairvoyant` beside it is: others may be better in single episodes.
+Numbers with units are for the paper's vehicle; for another vehicle they are scaled by `auv_gym.physics.units`.
+
+The oracle is a reference and not a bound: other policies can have lower errors in single episodes. The policy
+`clairvoyant` is a bound.
 """
 
 from __future__ import annotations
@@ -37,14 +39,14 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, start, step
 from baselines.control.linearisation import error_dynamics
-from baselines.control.privileged.truth import FullInformation, Truth, nothing_sent
-from baselines.estimation.water_frame import braked
+from baselines.control.privileged.truth import FullInformationPolicy, Truth, no_actions
+from baselines.estimation.water_frame import with_limited_braking
 from baselines.policy import is_fast
 
 
 @dataclass(frozen=True)
 class RegulatorWeights:
-    """What the regulator thinks equally bad: an error of the position, a force, a torque."""
+    """Position error, force and torque that have the same cost (Bryson's rule)."""
 
     position: float  # [m] on each axis
     F_u: float  # [N]
@@ -52,59 +54,63 @@ class RegulatorWeights:
 
 
 REGULATORS = {"slow": RegulatorWeights(0.1, 50.0, 25.0), "cruise": RegulatorWeights(0.9, 200.0, 90.0)}
-"""Weights in each regime, for a small tail error on the validation split of benchmark-v1 without losing an episode."""
-_NEGLIGIBLE = 1e-6  # weight of what `RegulatorWeights` leave out, for a Riccati equation that is well posed
+"""Weights for each speed range. They minimise the steady-state error on the validation split of benchmark-v1 without a
+failed episode."""
+_NEGLIGIBLE = 1e-6  # weight of the other states, for a well-posed Riccati equation
 SOFTER = (2.0, 4.0)
-"""Factors on the position's weight that are tried in turn where an episode goes astray under the regulator."""
-ASTRAY = 5.0  # [m] root mean square of the foreseen position error from which an episode counts as astray
+"""Factors on `RegulatorWeights.position`, tried in turn if an episode diverges under the regulator."""
+DIVERGED = 5.0  # [m] root mean square of the predicted position error from which an episode counts as diverged
 _LARGEST_SINE = 0.93
-"""Largest sine of the sideslip that is planned: a little less than that of `water_frame`."""
+"""Largest sine of the sideslip in a plan; a little less than that of `water_frame`."""
 _HARDEST_BRAKING = 0.35
-"""Largest braking -V'/V through the water [1/s]: a little less than what `water_frame` allows the paper's vehicle."""
+"""Largest deceleration -V'/V through the water [1/s]; a little less than that of `water_frame` for the paper's
+vehicle."""
 SMOOTHING = 0.2
-"""Width [s] of the Gauss filter on the current, whose gusts are too rough to be differentiated twice."""
+"""Standard deviation [s] of the Gaussian filter on the current, whose gusts cannot be differentiated twice."""
 
 
 @dataclass(frozen=True)
 class TruePlan:
-    """What keeps N vehicles on their paths: at K + 1 instants, and in the middle of the K periods between them."""
+    """Plan for N vehicles in their true disturbances, with states at K + 1 instants and forces in the K periods."""
 
     state: Array  # x, y, psi, u, v, r relative to the water at the instants, shape (K + 1, 6, N)
     force: Array  # F_u [N], F_r [N m], means over the periods, shape (K, 2, N)
     truth: Truth
-    units: Units  # of the known vehicle
+    units: Units  # of the nominal vehicle
 
 
-class Oracle(FullInformation):
+class Oracle(FullInformationPolicy):
     """The oracle as a privileged policy, see `baselines.policy.Privileged`."""
 
-    def _planned(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
+    def _prepared(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
         self._plan = true_plan(scenario, episodes)
-        self._gains = settling_gains(scenario, episodes, self._plan)
+        self._gains = stable_gains(scenario, episodes, self._plan)
         return self._plan.truth
 
-    def _decided(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
-        return decided(self._plan, self._gains, state, force, sent, k)
+    def _actions(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+        return regulator_actions(self._plan, self._gains, state, force, sent, k)
 
 
-def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+def regulator_actions(
+    plan: TruePlan, gains: Array, state: State, force: Array, sent: Array, k: NDArray[np.int64]
+) -> Array:
     """Return the actions of N vehicles, shape (2, N).
 
-    The regulator asks for a mean force over the period in which the command acts: the plan's, plus the gains times the
-    errors foreseen for its beginning. The command is the one that gives this mean in spite of the actuators' lag.
+    The desired mean force over the period in which the command acts is that of the plan, plus the gains times the
+    errors predicted for the beginning of this period. The command compensates the actuators' lag.
 
     Args:
         plan: of the vehicles' episodes.
         gains: of their regulators, shape (N, 2, 6).
         state: x, y, psi, u, v, r relative to the water, rows (N,).
-        force: what the actuators apply, F_u [N], F_r [N m], shape (2, N).
-        sent: the last actions, see `Truth.foretell`.
+        force: F_u [N], F_r [N m] of the actuators, shape (2, N).
+        sent: the last actions, see `Truth.state_after_delay`.
         k: the control step of each episode, shape (N,).
     """
-    p, lanes = plan.truth.parameters, np.arange(len(k))
-    *then, F_u, F_r = plan.truth.foretell(state, force, sent, k)  # when the command begins to act
+    p, columns = plan.truth.parameters, np.arange(len(k))
+    *then, F_u, F_r = plan.truth.state_after_delay(state, force, sent, k)
     acting = np.minimum(k + p.delay.astype(int), len(plan.force) - 1)
-    target, feedforward = plan.state[acting, :, lanes].T, plan.force[acting, :, lanes].T
+    target, feedforward = plan.state[acting, :, columns].T, plan.force[acting, :, columns].T
     x_e, y_e, psi_e, *velocity_errors = tracking_errors(cast(Any, tuple(then)), cast(Any, tuple(target)), ARRAYS)
     psi = then[2]
     errors = np.stack((*to_body(x_e, y_e, np.cos(psi), np.sin(psi)), psi_e, *velocity_errors))
@@ -115,29 +121,29 @@ def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Arra
     return np.asarray(np.clip(command / limits, -reach, reach))
 
 
-def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePlan) -> Array:
-    """Return the gains of N regulators, shape (N, 2, 6), softer where that keeps a vehicle from going astray.
+def stable_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePlan) -> Array:
+    """Return the gains of N regulators, shape (N, 2, 6), lower in episodes that would diverge otherwise.
 
-    A firm regulator whose torque is at its limit, behind a slow actuator, can spin a fast vehicle for good. The oracle
-    sees that coming, as it can rehearse the episode.
+    High gains with a saturated torque and a slow actuator can make a fast vehicle spin without end. A simulation of the
+    whole episode shows this beforehand.
     """
     gains = regulators(episodes, plan)
-    error = rehearsed(plan, gains, episodes).error
+    error = oracle_run(plan, gains, episodes).error
     for softer in SOFTER:
-        few = np.flatnonzero(error > ASTRAY * plan.units.length)
-        if not few.size:
+        diverged = np.flatnonzero(error > DIVERGED * plan.units.length)
+        if not diverged.size:
             break
-        chosen = [episodes[i] for i in few.tolist()]
+        chosen = [episodes[i] for i in diverged.tolist()]
         part = true_plan(scenario, chosen)
         tried = regulators(chosen, part, softer)
-        found = rehearsed(part, tried, chosen).error
-        settled = found < ASTRAY * plan.units.length
-        gains[few[settled]], error[few[settled]] = tried[settled], found[settled]
+        tried_error = oracle_run(part, tried, chosen).error
+        stable = tried_error < DIVERGED * plan.units.length
+        gains[diverged[stable]], error[diverged[stable]] = tried[stable], tried_error[stable]
     return gains
 
 
 def regulators(episodes: Sequence[Episode], plan: TruePlan, softer: float = 1.0) -> Array:
-    """Return the gains of N regulators, shape (N, 2, 6), with the position's weight `softer` times as wide."""
+    """Return the gains of N regulators, shape (N, 2, 6); `softer` multiplies `RegulatorWeights.position`."""
     gains, unit = [], plan.units.factor(*POWERS["m/s"])
     for episode, speed in zip(
         episodes, np.hypot(plan.state[:, 3], plan.state[:, 4]).mean(axis=0).tolist(), strict=True
@@ -147,28 +153,28 @@ def regulators(episodes: Sequence[Episode], plan: TruePlan, softer: float = 1.0)
     return np.array(gains)
 
 
-class Rehearsal(NamedTuple):
-    """What will come of N whole episodes, K control periods each."""
+class OracleRun(NamedTuple):
+    """Results of a simulation of N whole episodes, K control periods each."""
 
     error: Array  # [m] root mean square of the position errors, shape (N,)
     actions: Array  # shape (K, 2, N)
 
 
-def rehearsed(plan: TruePlan, gains: Array, episodes: Sequence[Episode]) -> Rehearsal:
-    """Return what the regulators of these gains, shape (N, 2, 6), will do in N whole episodes."""
+def oracle_run(plan: TruePlan, gains: Array, episodes: Sequence[Episode]) -> OracleRun:
+    """Return the results of regulators with these gains, shape (N, 2, 6), in N simulated episodes."""
     p, samples = plan.truth.parameters, plan.truth.samples
-    begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
-    plant, _ = start(cast(State, tuple(np.array(begun).T)), tuple(samples[0]), p, ARRAYS)
-    sent, square, actions = nothing_sent(len(episodes)), np.zeros(len(episodes)), np.empty_like(plan.force)
-    with np.errstate(over="ignore", invalid="ignore"):  # a vehicle that is lost goes on here
+    initial = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
+    plant, _ = start(cast(State, tuple(np.array(initial).T)), tuple(samples[0]), p, ARRAYS)
+    sent, square, actions = no_actions(len(episodes)), np.zeros(len(episodes)), np.empty_like(plan.force)
+    with np.errstate(over="ignore", invalid="ignore"):  # a failed episode does not end here
         for k in range(len(plan.force)):
             x, y, psi, u, v, r, F_u, F_r, *_ = plant
             now = np.full(len(episodes), k)
-            action = decided(plan, gains, (x, y, psi, u, v, r), np.stack((F_u, F_r)), sent, now)
+            action = regulator_actions(plan, gains, (x, y, psi, u, v, r), np.stack((F_u, F_r)), sent, now)
             sent, actions[k] = np.concatenate((action[None], sent[:-1])), action
             plant, _, _ = step(plant, tuple(action), tuple(samples[k + 1]), p, ARRAYS)
             square += ((np.stack(plant[:2]) - plan.state[k + 1, :2]) ** 2).sum(axis=0)
-    return Rehearsal(np.where(np.isfinite(square), np.sqrt(square / len(plan.force)), np.inf), actions)
+    return OracleRun(np.where(np.isfinite(square), np.sqrt(square / len(plan.force)), np.inf), actions)
 
 
 def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
@@ -181,7 +187,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
 
     dt, truth, units = scenario.control_dt, Truth.of(scenario, episodes), Units.of(scenario.vehicle)
     vehicle = stacked_vehicles([e.vehicle for e in episodes])
-    V, load = _halfway(truth.samples[:, CURRENT]), _halfway(truth.samples[:, LOAD])  # on a grid of half periods
+    V, load = _half_periods(truth.samples[:, CURRENT]), _half_periods(truth.samples[:, LOAD])
     V = gaussian_filter1d(V, SMOOTHING * units.time / (0.5 * dt), axis=0, mode="nearest")
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate_paths([e.path for e in episodes], times)
@@ -190,7 +196,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
-    along = braked(path_rates(motion), _HARDEST_BRAKING / units.time)
+    along = with_limited_braking(path_rates(motion), _HARDEST_BRAKING / units.time)
     X, Y, N = load.transpose(1, 0, 2)
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
@@ -205,8 +211,8 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
 def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights, units: Units) -> Array:
     """Return the gains, shape (2, 6), from errors in the body frame to forces, on a straight line at a speed [m/s].
 
-    The weights are of the paper's vehicle. In its units, too, the equation is solved, which for a ship is otherwise too
-    badly scaled.
+    The weights are for the paper's vehicle. The Riccati equation is solved in its units, as it would be badly scaled
+    for a ship otherwise.
     """
     from scipy.linalg import solve_continuous_are
 
@@ -221,13 +227,16 @@ def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights, units: Units)
 
 
 def stacked_vehicles(vehicles: Sequence[Vehicle]) -> Vehicle:
-    """Return N vehicles as one whose parameters are rows (N,), for equations that work on rows."""
+    """Return N vehicles as one object with parameters of shape (N,), for equations that accept rows."""
     rows = Coefficients(*np.array([vehicle.coefficients for vehicle in vehicles]).T)
     return cast(Vehicle, SimpleNamespace(coefficients=rows, **rows._asdict()))
 
 
-def _halfway(rows: Array) -> Array:
-    """Return what is held over the periods that end at K + 1 instants, at instants and in between: 2 K + 1 rows."""
+def _half_periods(rows: Array) -> Array:
+    """Return samples that are constant in the period before each of K + 1 instants on a grid of half periods.
+
+    Values at the instants are the means of both periods. The result has 2 K + 1 rows.
+    """
     half = np.empty((2 * len(rows) - 1, *rows.shape[1:]))
     half[1::2] = rows[1:]
     half[2:-1:2] = 0.5 * (rows[1:-1] + rows[2:])
@@ -236,7 +245,7 @@ def _halfway(rows: Array) -> Array:
 
 
 def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) -> Array:
-    """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart; `planner` says how it comes about."""
+    """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart; `planner` has the derivation."""
     Dm = vehicle.coefficients.slip_mass
     terms = [h / Dm * term for term in sideslip_terms(along, vehicle)]
     push = h / Dm * Y / along.v_p

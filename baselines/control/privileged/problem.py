@@ -1,13 +1,14 @@
-"""The whole of an episode as one optimal control problem: nothing about it is unknown.
+"""A whole episode as an optimal control problem with full information.
 
-Commands a_1 ... a_K of the K control periods are sought that make
+The commands a_1 ... a_K of the K control periods minimise
 
-    sum_k w_k |p_k - p_R,k|^2 + `PRICE` sum_k |a_k|^2        (1)
+    sum_k w_k |p_k - p_R,k|^2 + `EFFORT_WEIGHT` sum_k |a_k|^2        (1)
 
-least, with p the position that the simulation itself gives for them, p_R that of the reference, and commands within
-the limits at which the actuators really saturate. The weights w_k add up to one over the tail of the episode, whose
-root mean square is what is scored; those before it are small, so that the way there is not arbitrary. Positions count
-in the paper's units (`auv_gym.physics.units`), so that one price and one tolerance serve a torpedo and a ship.
+with the simulated position p and the position p_R of the reference. The commands are bounded by the limits at which the
+actuators saturate. After the first third of the episode the weights w_k add up to one; there the root mean square of
+the error is the steady-state error of the score. In the first third the weights are small but positive, so that the
+solution is unique. Positions are in the paper's units (`auv_gym.physics.units`): the same weights and tolerances apply
+to vehicles of all sizes.
 """
 
 from __future__ import annotations
@@ -34,29 +35,28 @@ from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
 PLANT_STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
-COMMAND_ROWS = 2  # a_u, a_r: commands as fractions of what action 1 gives
+COMMAND_ROWS = 2  # a_u, a_r: commands as fractions of the command of action 1
 TRIANGLE = PLANT_STATES * (PLANT_STATES + 1) // 2  # entries of a symmetric matrix of that size
-HEAD = 1e-3
-"""Weight of the errors before the tail, all together."""
-PRICE = 1e-9
-"""Price [m^2 of the paper's vehicle] of a command at its limit all along: what the position does not mind is not
-arbitrary."""
+TRANSIENT_WEIGHT = 1e-3
+"""Sum of the weights of the errors in the first third."""
+EFFORT_WEIGHT = 1e-9
+"""Weight [m^2 of the paper's vehicle] of the commands: it makes the solution unique."""
 STEADY_RMSE = 3
-"""The tail is what is left of the steps after the first one in so many, as in `evaluation.metrics`."""
+"""The steady-state error leaves out the first one of so many equal parts of an episode, as in `evaluation.metrics`."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """N episodes of K control periods, as they are known beforehand."""
+    """Data of N episodes of K control periods."""
 
-    parts: Parts  # of the simulation that the commands depend on
-    begun: Array  # state at the start, shape (PLANT_STATES, N)
-    samples: Array  # the numbers of a `Sample` at the end of each period, shape (K, SAMPLE_ROWS, N)
-    parameters: Array  # the numbers of the `Parameters`, shape (PARAMETER_ROWS, N)
-    limits: Array  # of the commands, zero until the first one arrives, shape (K, COMMAND_ROWS, N)
+    parts: Parts  # parts of the simulation on which the commands depend
+    begun: Array  # initial state, shape (PLANT_STATES, N)
+    samples: Array  # entries of the `Sample` at the end of each period, shape (K, SAMPLE_ROWS, N)
+    parameters: Array  # entries of the `Parameters`, shape (PARAMETER_ROWS, N)
+    limits: Array  # of the commands; zero until the first command acts, shape (K, COMMAND_ROWS, N)
     weight: Array  # w_k in (1) [1/m^2 of this vehicle], shape (K, 1, N)
     delay: NDArray[np.int64]  # control periods until a command acts, shape (N,)
-    unit: Array  # metres of this vehicle that are one of the paper's, shape (N,)
+    unit: Array  # length of this vehicle [m] that corresponds to 1 m of the paper's vehicle, shape (N,)
 
     @classmethod
     def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Problem:
@@ -71,8 +71,8 @@ class Problem:
         rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in leaves(p)])
         delay = np.broadcast_to(np.asarray(p.delay), n).astype(np.int64)
         reach = np.minimum(1.0, np.stack((np.broadcast_to(p.reach_u, n), np.broadcast_to(p.reach_r, n))))
-        arrived = np.arange(steps)[:, None] >= delay
-        weight = np.full((steps, 1, n), HEAD / steps)
+        acts = np.arange(steps)[:, None] >= delay
+        weight = np.full((steps, 1, n), TRANSIENT_WEIGHT / steps)
         weight[steps // STEADY_RMSE :] = 1.0 / (steps - steps // STEADY_RMSE)
         unit = Units.of(scenario.vehicle).length
         return cls(
@@ -80,21 +80,21 @@ class Problem:
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,
-            np.ascontiguousarray(reach * arrived[:, None]),
+            np.ascontiguousarray(reach * acts[:, None]),
             weight / (unit * unit),
             delay,
             np.full(n, unit),
         )
 
-    def taken(self, few: Any) -> Problem:
-        """Return the problem of a few of the episodes, an index of which is given."""
-        arrays = {f.name: np.ascontiguousarray(getattr(self, f.name)[..., few]) for f in fields(self)[1:]}
+    def subset(self, indices: Any) -> Problem:
+        """Return the problem of some of the episodes."""
+        arrays = {f.name: np.ascontiguousarray(getattr(self, f.name)[..., indices]) for f in fields(self)[1:]}
         return Problem(self.parts, **arrays)
 
     def between(self, first: int, end: int, begun: Array) -> Problem:
-        """Return the problem of the periods from `first` to `end`, which begin in states (PLANT_STATES, N).
+        """Return the problem of the periods from `first` to `end` with the initial states `begun`, (PLANT_STATES, N).
 
-        The errors of all its periods count alike.
+        The errors in all its periods have the same weight.
         """
         weight = np.full((end - first, 1, len(self.unit)), 1.0 / (end - first)) / self.unit**2
         return replace(
@@ -105,25 +105,27 @@ class Problem:
             weight=weight,
         )
 
-    def played(self, course: Trajectory, way: Way | None = None, length: float = 1.0) -> Trajectory:
-        """Return what follows from the commands of a course, or of those that lie on the way from it; see `Way`.
+    def simulated(
+        self, trajectory: Trajectory, change: GaussNewtonStep | None = None, length: float = 1.0
+    ) -> Trajectory:
+        """Return the simulated trajectory after a change of the commands, with feedback about the given trajectory.
 
         Args:
-            course: the commands, and the states that feedback holds on to.
-            way: where to go from there; None: the commands as they are.
-            length: how far to go.
+            trajectory: commands, and states for the feedback.
+            change: Gauss-Newton step from it. None: the commands are unchanged.
+            length: fraction of the step.
         """
-        steps, _, n = course.commands.shape
+        steps, _, n = trajectory.commands.shape
         states, cost, error = np.empty((steps + 1, PLANT_STATES, n)), np.zeros((1, n)), np.empty((steps, 1, n))
-        states[0], applied = self.begun, np.empty_like(course.commands)
-        wanted = course.commands if way is None else course.commands + length * way.step
-        with np.errstate(over="ignore", invalid="ignore"):  # what is lost costs too much
-            played_kernel(self.parts).bound(
+        states[0], applied = self.begun, np.empty_like(trajectory.commands)
+        commands = trajectory.commands if change is None else trajectory.commands + length * change.step
+        with np.errstate(over="ignore", invalid="ignore"):  # the cost of a diverged episode is infinite
+            simulation_kernel(self.parts).bound(
                 state=self.begun.copy(),
                 cost=cost,
-                command=wanted,
-                planned=course.states[:-1],
-                gains=np.zeros((steps, COMMAND_ROWS * PLANT_STATES, n)) if way is None else way.feedback,
+                command=commands,
+                planned=trajectory.states[:-1],
+                gains=np.zeros((steps, COMMAND_ROWS * PLANT_STATES, n)) if change is None else change.feedback,
                 limits=self.limits,
                 sample=self.samples,
                 weight=self.weight,
@@ -135,16 +137,16 @@ class Problem:
         steady_rmse = np.sqrt(error[steps // STEADY_RMSE :, 0].mean(axis=0)) / self.unit
         return Trajectory(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), steady_rmse)
 
-    def way(self, course: Trajectory, damping: Array) -> Way:
-        """Return the Gauss-Newton step at a course, with its feedback; `damping` (N,) makes it shorter."""
-        steps, _, n = course.commands.shape
-        step, feedback = np.empty_like(course.commands), np.empty((steps, COMMAND_ROWS * PLANT_STATES, n))
+    def gauss_newton_step(self, trajectory: Trajectory, damping: Array) -> GaussNewtonStep:
+        """Return the Gauss-Newton step at a trajectory with a damping of shape (N,)."""
+        steps, _, n = trajectory.commands.shape
+        step, feedback = np.empty_like(trajectory.commands), np.empty((steps, COMMAND_ROWS * PLANT_STATES, n))
         with np.errstate(all="ignore"):
-            way_kernel(self.parts).bound(
+            riccati_kernel(self.parts).bound(
                 slope=np.zeros((PLANT_STATES, n)),
                 curvature=np.zeros((TRIANGLE, n)),
-                state=course.states[:-1],
-                command=course.commands,
+                state=trajectory.states[:-1],
+                command=trajectory.commands,
                 limits=self.limits,
                 sample=self.samples,
                 weight=self.weight,
@@ -153,60 +155,60 @@ class Problem:
                 step=step,
                 feedback=feedback,
             )(0, steps)
-        return Way(step, feedback)
+        return GaussNewtonStep(step, feedback)
 
-    def standing(self, commands: Array) -> Trajectory:
-        """Return the course of commands, shape (K, COMMAND_ROWS, N), as they are."""
+    def open_loop(self, commands: Array) -> Trajectory:
+        """Return the simulated trajectory of commands, shape (K, COMMAND_ROWS, N), without feedback."""
         steps, _, n = commands.shape
-        return self.played(Trajectory(commands, np.zeros((steps + 1, PLANT_STATES, n)), np.zeros(n), np.zeros(n)))
+        return self.simulated(Trajectory(commands, np.zeros((steps + 1, PLANT_STATES, n)), np.zeros(n), np.zeros(n)))
 
 
 class Trajectory(NamedTuple):
-    """Commands of N episodes and what comes of them."""
+    """Commands in N episodes with the simulated states and costs."""
 
     commands: Array  # that act in each period, shape (K, COMMAND_ROWS, N)
     states: Array  # shape (K + 1, PLANT_STATES, N)
-    cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite where no finite states come of the commands
-    steady_rmse: Array  # [m of the paper's vehicle] root mean square of the position error in the tail, shape (N,)
+    cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite if the states are not finite
+    steady_rmse: Array  # [m of the paper's vehicle] steady-state error, shape (N,)
 
 
-class Way(NamedTuple):
-    """How commands should change: by `step` + `feedback` (state - state of the course)."""
+class GaussNewtonStep(NamedTuple):
+    """Change of the commands of a trajectory: `step` + `feedback` (state - state of the trajectory)."""
 
     step: Array  # shape (K, COMMAND_ROWS, N)
     feedback: Array  # shape (K, COMMAND_ROWS * PLANT_STATES, N): the rows of K matrices one after the other
 
 
-def _after(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:
-    """Return the `PLANT_STATES` components one control period later."""
+def _next_state(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:
+    """Return the `PLANT_STATES` components of the state one control period later."""
     x, y, psi, u, v, r, F_u, F_r = state
     p, a = Parameters.of(parameters, parts), (command[0], command[1])
     body, force = moved((x, y, psi, u, v, r), (F_u, F_r), a, sample, p, SYMBOLS)
     return [*body, *force]
 
 
-def _missed(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:
+def _position_error(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:
     """Return the position error [m] at the end of a period."""
     reference = Sample(*sample)
     return after[0] - reference.x_R, after[1] - reference.y_R
 
 
 @cache
-def played_kernel(parts: Parts) -> Kernel:
-    """Return the kernel that goes through an episode with feedback about a course."""
+def simulation_kernel(parts: Parts) -> Kernel:
+    """Return the kernel that simulates an episode with feedback about a trajectory."""
 
     def equation(
         state: Any, cost: Any, command: Any, planned: Any, gains: Any, limits: Any, weight: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
-        off, a = [x - c for x, c in zip(state, planned, strict=True)], []
+        deviation, a = [x - c for x, c in zip(state, planned, strict=True)], []
         for i in range(COMMAND_ROWS):
-            wanted = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], off)
-            a.append(SYMBOLS.clip(wanted, -limits[i], limits[i]))
-        after = _after(state, a, known["sample"], known["parameters"], parts)
-        x_e, y_e = _missed(after, known["sample"])
+            unlimited = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], deviation)
+            a.append(SYMBOLS.clip(unlimited, -limits[i], limits[i]))
+        after = _next_state(state, a, known["sample"], known["parameters"], parts)
+        x_e, y_e = _position_error(after, known["sample"])
         error = x_e * x_e + y_e * y_e
-        paid = weight[0] * error + PRICE * (a[0] * a[0] + a[1] * a[1])
-        return {"state": after, "cost": [cost[0] + paid], "states": after, "applied": a, "error": [error]}
+        stage_cost = weight[0] * error + EFFORT_WEIGHT * (a[0] * a[0] + a[1] * a[1])
+        return {"state": after, "cost": [cost[0] + stage_cost], "states": after, "applied": a, "error": [error]}
 
     rows = {
         "state": PLANT_STATES,
@@ -221,21 +223,21 @@ def played_kernel(parts: Parts) -> Kernel:
 
 
 @cache
-def way_kernel(parts: Parts) -> Kernel:
-    """Return the kernel of the Gauss-Newton step, which goes from the last period to the first."""
+def riccati_kernel(parts: Parts) -> Kernel:
+    """Return the kernel of the Gauss-Newton step, which runs from the last period to the first."""
 
     def equation(
         slope: Any, curvature: Any, state: Any, command: Any, limits: Any, weight: Any, damping: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
         both, w = [*state, *command], 2 * weight[0]
-        after = _after(state, command, known["sample"], known["parameters"], parts)
+        after = _next_state(state, command, known["sample"], known["parameters"], parts)
         columns = list(zip(*jacobian(after, both), strict=True))
         V_x, V_xx = list(slope), [list(row) for row in symmetric(curvature)]
-        for i, missed in enumerate(_missed(after, known["sample"])):
-            V_x[i], V_xx[i][i] = V_x[i] + w * missed, V_xx[i][i] + w
+        for i, error in enumerate(_position_error(after, known["sample"])):
+            V_x[i], V_xx[i][i] = V_x[i] + w * error, V_xx[i][i] + w
         Q_1, Q_2 = [dot(column, V_x) for column in columns], [list(row) for row in congruence(columns, V_xx)]
         for i, a in enumerate(command, PLANT_STATES):
-            Q_1[i], Q_2[i][i] = Q_1[i] + 2 * PRICE * a, Q_2[i][i] + 2 * PRICE + damping[0]
+            Q_1[i], Q_2[i][i] = Q_1[i] + 2 * EFFORT_WEIGHT * a, Q_2[i][i] + 2 * EFFORT_WEIGHT + damping[0]
         slope, earlier, k, K, _ = feedback_law(Q_1, Q_2, command, limits)
         return {"slope": slope, "curvature": triangle(earlier), "step": k, "feedback": [x for row in K for x in row]}
 

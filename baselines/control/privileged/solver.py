@@ -1,11 +1,11 @@
-"""The Gauss-Newton iteration through whole episodes, each with a damping of its own.
+"""Gauss-Newton iteration over whole episodes, each with its own damping.
 
-It is the method of `baselines.control.nmpc.gauss_newton` over all of an episode, with the damping of K. Levenberg
-(Quarterly of Applied Mathematics 2(2):164-168, 1944): a step that disappoints makes the next one shorter.
+The method is that of `baselines.control.nmpc.gauss_newton` over a whole episode, with the damping of K. Levenberg
+(Quarterly of Applied Mathematics 2(2):164-168, 1944): if a step does not lower the cost, the damping increases.
 
-Where limits bind for long, the optimum is one of several that Gauss-Newton steps may end in, and the oracle's commands,
-which a regulator cuts at the limits, may lead to a poor one. A window that moves through the episode, optimised with
-all that will happen in it, goes along the limits from the start (D. Q. Mayne and H. Michalska, "Receding horizon
+With commands at their limits for a long time, the problem can have several local minima. The commands of the oracle,
+which are clipped at the limits, can lead to a poor one. Receding horizon control with full information gives other
+initial commands, which are optimal at the limits within each window (D. Q. Mayne and H. Michalska, "Receding horizon
 control of nonlinear systems", IEEE Trans. Automatic Control 35(7):814-824, 1990).
 """
 
@@ -18,104 +18,107 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from baselines.control.nmpc.problem import replaced, taken
-from baselines.control.privileged.problem import Problem, Trajectory, Way
+from baselines.control.nmpc.problem import replaced, subset
+from baselines.control.privileged.problem import GaussNewtonStep, Problem, Trajectory
 
 TOLERANCE = 1e-5
-"""[m of the paper's vehicle] of the tail's root mean square: an episode is solved when a step that is hardly damped
+"""Tolerance [m of the paper's vehicle] of the steady-state error: an episode is solved when a step with little damping
 gains less."""
 _LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
-"""Parts of a step that are tried until one lowers the cost."""
-DAMPING = 1e-6  # [m^2 of the paper's vehicle] at the start
+"""Fractions of a step in the line search, tried in this order until one lowers the cost."""
+DAMPING = 1e-6  # [m^2 of the paper's vehicle] initial damping
 LEAST_DAMPING = 1e-12  # [m^2 of the paper's vehicle]
 MOST_DAMPING = 1e3  # [m^2 of the paper's vehicle]
 HARDLY_DAMPED = 1e-9
-"""[m^2 of the paper's vehicle] damping up to which a step that gains nothing means that nothing is left to gain."""
-STIFFER = 10.0  # factor on the damping where no part of a step lowers the cost
-LOOSER = 0.1  # factor on the damping where all of a step does
+"""Largest damping [m^2 of the paper's vehicle] at which a full step without gain ends the iteration."""
+STIFFER = 10.0  # factor on the damping after a failed line search
+LOOSER = 0.1  # factor on the damping after a full step
 _MOST_STEPS = 200  # for an episode
 GOOD = 0.002
-"""[m of the paper's vehicle] tail from which other commands to begin with are tried."""
-_FADING = 0.5  # share of the last command that the periods after a window begin with
+"""Steady-state error [m of the paper's vehicle] from which other initial commands are tried."""
+_FADING = 0.5  # initial commands in the periods after a window, as a share of its last command
 _STEPS_OF_WINDOW = 20  # most Gauss-Newton steps in a window
 
 
 def best_trajectory(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], Array]] = ()) -> Trajectory:
-    """Return the best course of N episodes that is found from commands to begin with.
+    """Return the best of the trajectories that are optimised from different initial commands, for N episodes.
 
     Args:
         problem: see `Problem`.
-        guess: commands, shape (K, ACTIONS, N), to begin with.
-        others: each returns commands for the problem of a few of the episodes; they are tried in turn in those whose
-            tail is not `GOOD`.
+        guess: initial commands, shape (K, COMMAND_ROWS, N).
+        others: functions that return other initial commands for a problem; they are tried in turn in episodes whose
+            steady-state error is not below `GOOD`.
     """
-    best = refined(problem, problem.standing(guess))
+    best = optimised(problem, problem.open_loop(guess))
     for other in others:
-        few = np.flatnonzero(~(best.steady_rmse < GOOD))
-        if not few.size:
+        poor = np.flatnonzero(~(best.steady_rmse < GOOD))
+        if not poor.size:
             break
-        part = problem.taken(few)
-        found = refined(part, part.standing(other(part)))
-        better = np.flatnonzero(found.cost < best.cost[few])
-        best = replaced(best, few[better], taken(found, better))
+        part = problem.subset(poor)
+        trial = optimised(part, part.open_loop(other(part)))
+        better = np.flatnonzero(trial.cost < best.cost[poor])
+        best = replaced(best, poor[better], subset(trial, better))
     return best
 
 
-def refined(problem: Problem, course: Trajectory, most: int = _MOST_STEPS) -> Trajectory:
-    """Return a course after as many steps as each episode takes, at most so many."""
-    damping, few = np.full(len(course.cost), DAMPING), np.arange(len(course.cost))
+def optimised(problem: Problem, trajectory: Trajectory, most: int = _MOST_STEPS) -> Trajectory:
+    """Return the trajectory after Gauss-Newton steps until convergence, at most `most` of them."""
+    damping, active = np.full(len(trajectory.cost), DAMPING), np.arange(len(trajectory.cost))
     for _ in range(most):
-        part, now = problem.taken(few), taken(course, few)
-        then, whole = _stepped(part, now, part.way(now, damping[few]))
-        gained = np.sqrt(now.cost) - np.sqrt(then.cost)
-        idle = ~(then.cost < now.cost)
-        own = damping[few]
-        done = ~(gained > TOLERANCE) & ((whole & (own <= HARDLY_DAMPED)) | (idle & (own >= MOST_DAMPING)))
-        damping[few] = np.clip(np.where(idle, STIFFER, np.where(whole, LOOSER, 1.0)) * own, LEAST_DAMPING, MOST_DAMPING)
-        course = replaced(course, few, then)
-        few = few[~done]
-        if not few.size:
+        part, now = problem.subset(active), subset(trajectory, active)
+        after, full = _line_search(part, now, part.gauss_newton_step(now, damping[active]))
+        gain = np.sqrt(now.cost) - np.sqrt(after.cost)
+        failed = ~(after.cost < now.cost)
+        own = damping[active]
+        done = ~(gain > TOLERANCE) & ((full & (own <= HARDLY_DAMPED)) | (failed & (own >= MOST_DAMPING)))
+        factor = np.where(failed, STIFFER, np.where(full, LOOSER, 1.0))
+        damping[active] = np.clip(factor * own, LEAST_DAMPING, MOST_DAMPING)
+        trajectory = replaced(trajectory, active, after)
+        active = active[~done]
+        if not active.size:
             break
-    return course
+    return trajectory
 
 
-def _stepped(problem: Problem, course: Trajectory, way: Way) -> tuple[Trajectory, NDArray[np.bool_]]:
-    """Return the course after the longest part of a step that lowers the cost, and whether that is all of it."""
-    best, whole = course, np.zeros(len(course.cost), dtype=bool)
-    few = np.arange(len(course.cost))
+def _line_search(
+    problem: Problem, trajectory: Trajectory, change: GaussNewtonStep
+) -> tuple[Trajectory, NDArray[np.bool_]]:
+    """Return the trajectory after the longest fraction of a step that lowers the cost, and whether the step is full."""
+    best, full = trajectory, np.zeros(len(trajectory.cost), dtype=bool)
+    active = np.arange(len(trajectory.cost))
     for length in _LENGTHS:
-        now, part = taken(course, few), problem.taken(few)
-        trial = part.played(now, taken(way, few), length)
+        now, part = subset(trajectory, active), problem.subset(active)
+        trial = part.simulated(now, subset(change, active), length)
         better = trial.cost < now.cost
-        best = replaced(best, few[better], taken(trial, np.flatnonzero(better)))
-        whole[few[better]] = length == _LENGTHS[0]
-        few = few[~better]
-        if not few.size:
+        best = replaced(best, active[better], subset(trial, np.flatnonzero(better)))
+        full[active[better]] = length == _LENGTHS[0]
+        active = active[~better]
+        if not active.size:
             break
-    return best, whole
+    return best, full
 
 
-class ForesightWindow(NamedTuple):
-    """How far is looked ahead."""
+class Window(NamedTuple):
+    """Lengths of receding horizon control."""
 
-    ahead: int  # control periods that are optimised
-    kept: int  # of them, the first ones, whose commands are taken
+    length: int  # control periods that are optimised
+    kept: int  # control periods, the first ones, whose commands are applied
 
 
-WINDOWS = ForesightWindow(80, 40), ForesightWindow(160, 40)
+WINDOWS = Window(80, 40), Window(160, 40)
 """Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
 
 
-def foreseeing(window: ForesightWindow, problem: Problem) -> Array:
-    """Return the commands, shape (K, ACTIONS, N), that windows through an episode of K periods give."""
+def receding_horizon(window: Window, problem: Problem) -> Array:
+    """Return the commands of receding horizon control with full information, shape (K, COMMAND_ROWS, N)."""
     commands, begun, steps = np.zeros_like(problem.limits), problem.begun, len(problem.limits)
     for first in range(0, steps, window.kept):
-        end = min(first + window.ahead, steps)
+        end = min(first + window.length, steps)
         part = problem.between(first, end, begun)
-        course = refined(part, part.standing(commands[first:end].copy()), _STEPS_OF_WINDOW)
-        commands[first:end] = course.commands
-        commands[end : end + window.kept] = _FADING * course.commands[-1]
+        trajectory = optimised(part, part.open_loop(commands[first:end].copy()), _STEPS_OF_WINDOW)
+        commands[first:end] = trajectory.commands
+        commands[end : end + window.kept] = _FADING * trajectory.commands[-1]
         if end == steps:
             break
-        begun = course.states[window.kept]
+        begun = trajectory.states[window.kept]
     return commands

@@ -1,4 +1,4 @@
-"""Full information: all exogenous inputs of episodes from first step to last, and a policy that acts on them."""
+"""Full information about episodes, with all exogenous inputs, and the base class of policies that use it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PLANT, Parameters, step
 from baselines.policy import Memory
 
-BODY = 8  # the first entries of a `Plant`: the state and the forces that the actuators apply
+BODY = 8  # number of the first entries of a `Plant`, state and actuators' forces
 
 
 def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
@@ -33,22 +33,22 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     """
     n, instants = len(episodes), scenario.steps + 1
     tables = reference_tables(episodes, *plan_of(scenario))
-    tape = Tape(n, instants)
+    inputs = ExogenousInputs(n, instants)
     for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
-        tape.load(i, scenario, episode, table)
-    return tape.read(np.arange(n), instants)
+        inputs.load(i, scenario, episode, table)
+    return inputs.read(np.arange(n), instants)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The constants of N episodes and all samples of their tapes."""
+    """Constants and all exogenous inputs of N episodes."""
 
     parameters: Parameters  # rows of shape (N,)
     samples: Array  # shape (K + 1, SAMPLE, N)
 
     @classmethod
     def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
-        """Return the truth about N episodes.
+        """Return the full information about N episodes.
 
         Raises:
             InfeasibleReferenceError: an episode's path cannot be followed.
@@ -56,8 +56,8 @@ class Truth:
         rows = np.array([leaves(scenario.parameters(episode)) for episode in episodes]).T
         return cls(Parameters.of(tuple(rows), scenario.parts), samples(scenario, episodes))
 
-    def foretell(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
-        """Return state and forces when the next command comes to act, shape (8, N): now, where there is no delay.
+    def state_after_delay(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+        """Return state and forces when the next command begins to act, shape (8, N); without delay, those of now.
 
         Args:
             state: x, y, psi, u, v, r relative to the water, rows (N,).
@@ -65,55 +65,55 @@ class Truth:
             sent: the last `LONGEST_DELAY` actions, the latest first, shape (LONGEST_DELAY, 2, N).
             k: the control step of each episode, shape (N,).
         """
-        nothing, (last, second, third) = np.zeros(len(k)), sent
-        plant = filled(PLANT, (*state, *force, *last, *(nothing,) * 8, *second, *third))  # sensors remember nothing
-        found = np.stack(plant[:BODY])
+        zero, (last, second, third) = np.zeros(len(k)), sent
+        plant = filled(PLANT, (*state, *force, *last, *(zero,) * 8, *second, *third))  # states of sensors do not matter
+        after = np.stack(plant[:BODY])
         for j in range(int(self.parameters.delay.max())):
-            coming = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T
-            plant, _, _ = step(plant, (nothing, nothing), tuple(coming), self.parameters, ARRAYS)
-            found = np.where(self.parameters.delay > j, np.stack(plant[:BODY]), found)
-        return found
+            sample = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T
+            plant, _, _ = step(plant, (zero, zero), tuple(sample), self.parameters, ARRAYS)
+            after = np.where(self.parameters.delay > j, np.stack(plant[:BODY]), after)
+        return after
 
 
-def nothing_sent(n: int) -> Array:
-    """Return the actions sent before the start of N episodes, see `Truth.foretell`."""
+def no_actions(n: int) -> Array:
+    """Return the argument `sent` of `Truth.state_after_delay` at the start of n episodes."""
     return np.zeros((LONGEST_DELAY, 2, n))
 
 
-class FullInformation(ABC):
-    """A policy that decides on the true state, a `baselines.policy.Privileged`; what is observed does not count."""
+class FullInformationPolicy(ABC):
+    """A policy that acts on the true state, a `baselines.policy.Privileged`; it does not use the observation."""
 
     _truth: Truth | None = None
 
     @abstractmethod
-    def _planned(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
-        """Plan for N episodes, and return the truth about them."""
+    def _prepared(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
+        """Plan for N episodes, and return the full information about them."""
 
     @abstractmethod
-    def _decided(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
-        """Return the actions of N vehicles, shape (2, N); the arguments are those of `Truth.foretell`."""
+    def _actions(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+        """Return the actions of N vehicles, shape (2, N); arguments as in `Truth.state_after_delay`."""
 
     def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
-        """Plan for N episodes that are to run side by side.
+        """Plan for N episodes that will run side by side.
 
         Raises:
             InfeasibleReferenceError: an episode's path cannot be followed in still water.
         """
-        self._truth = self._planned(scenario, episodes)
-        self._dt, self._sent = scenario.control_dt, nothing_sent(len(episodes))
+        self._truth = self._prepared(scenario, episodes)
+        self._dt, self._sent = scenario.control_dt, no_actions(len(episodes))
 
     def observe(self, env: Any) -> None:
-        """Decide on the true state of the vector environment.
+        """Compute the actions from the true state of the vector environment.
 
         Raises:
-            RuntimeError: there is no plan, as `prepare` was not called.
+            RuntimeError: `prepare` was not called, so there is no plan.
         """
         self._check()
         k = np.rint(env.time / self._dt).astype(int)
         x, y, psi, u, v, r = env.state.T
         V_x, V_y = env.current.T
         V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
-        action = self._decided((x, y, psi, u - V_u, v - V_v, r), env.force.T, self._sent, k)
+        action = self._actions((x, y, psi, u - V_u, v - V_v, r), env.force.T, self._sent, k)
         self._sent = np.concatenate((action[None], self._sent[:-1]))
         self._action = action.T.astype(np.float32)
 
@@ -124,10 +124,10 @@ class FullInformation(ABC):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the actions (N, 2) decided by the last `observe`, whatever the observation (N, 18) is.
+        """Return the actions (N, 2) of the last `observe`; the observation (N, 18) is not used.
 
         Raises:
-            RuntimeError: there is no plan, as `prepare` was not called.
+            RuntimeError: `prepare` was not called, so there is no plan.
         """
         self._check()
         return self._action, state

@@ -1,1 +1,1 @@
-"""The report of an evaluation: numbers, tables, figures, page."""
+"""The report of an evaluation: numbers, tables, charts and page."""

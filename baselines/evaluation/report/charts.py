@@ -1,4 +1,4 @@
-"""The charts of the report's page, as Vega-Lite draws them: their marks and scales; the page hands them their rows."""
+"""The Vega-Lite specifications of the report's charts: marks and scales; the page adds the data."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from baselines.tools.figure_style import DASHES, OUTLINES, look
 Spec = dict[str, Any]
 
 _ROWS = {"name": "rows"}  # the data set that the page fills
-_LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # the look of a curve
-_NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
-QUIET = "#8a8a8a"  # colour of what only helps to read
+_LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # style of a curve
+_POLICY_TOOLTIP = [{"field": "policy", "title": "policy"}]
+GUIDE_COLOUR = "#8a8a8a"  # colour of auxiliary lines
 
 
 def charts(policies: Sequence[str]) -> dict[str, Spec]:
-    """Return the charts of an evaluation by name, every policy with its look."""
+    """Return the charts of an evaluation by name, with the looks of the policies."""
     looks = _Looks(policies)
     return {
         "scores": _intervals(looks, "score", "case", f"score: {SCALE}", -1.0),
@@ -29,7 +29,7 @@ def charts(policies: Sequence[str]) -> dict[str, Spec]:
 
 
 class _Looks:
-    """The scales that give each policy its colour, its dash and its marker."""
+    """The scales for colour, dash pattern and marker of each policy."""
 
     def __init__(self, policies: Sequence[str]) -> None:
         own = [look(policy, policies) for policy in policies]
@@ -39,7 +39,7 @@ class _Looks:
         self.shape = _scale(names, [OUTLINES[x.marker] for x in own])
 
     def of(self, *channels: str) -> Spec:
-        """Return the encoding of the policy in these channels, without a legend: the leaderboard is the legend."""
+        """Return the encoding of the policy in these channels, without a legend, since the leaderboard is one."""
         scales = {"color": self.colour, "strokeDash": self.dash, "shape": self.shape}
         return {
             name: {"field": "policy", "type": "nominal", "scale": scales[name], "legend": None} for name in channels
@@ -57,8 +57,8 @@ def _number(field: str, title: str | None = None, log: bool = False, **scale: An
     return {"field": field, "type": "quantitative", "axis": axis, "scale": scales}
 
 
-def _told(*fields: tuple[str, str]) -> list[Spec]:
-    """Return what a mark says when it is pointed at."""
+def _tooltip(*fields: tuple[str, str]) -> list[Spec]:
+    """Return the tooltip of a mark."""
     return [{"field": field, "title": title} for field, title in fields]
 
 
@@ -67,8 +67,8 @@ def _frame(layer: list[Spec], **more: Any) -> Spec:
 
 
 def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
-    """Return a value of each policy with its interval, policies below each other in each group."""
-    told = _told(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
+    """Return the chart of a value of each policy with its interval, with a group of rows for each case."""
+    tooltip = _tooltip(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
     x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
     bands = {"title": None, "grid": True, "tickBand": "extent"}
     place = {
@@ -78,14 +78,17 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
     lines = [{"datum": at} for at in (0.0, 1.0)]
     return _frame(
         [
-            *({"mark": {"type": "rule", "color": QUIET, "strokeWidth": 1}, "encoding": {"x": line}} for line in lines),
+            *(
+                {"mark": {"type": "rule", "color": GUIDE_COLOUR, "strokeWidth": 1}, "encoding": {"x": line}}
+                for line in lines
+            ),
             {
                 "mark": {"type": "rule", "strokeWidth": 2.2, "clip": True},
                 "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, **place, **looks.of("color")},
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 42, "opacity": 1, "clip": True},
-                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": told},
+                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": tooltip},
             },
         ],
         params=[{"name": "least", "value": -0.1}],
@@ -94,9 +97,9 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
 
 
 def _steady_rmses(looks: _Looks) -> Spec:
-    """Return the mean tail error of each policy in a scenario with its interval, each named at its line."""
-    told = _told(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
-    x = _number("value", "mean tail error [m], 95 % interval", log=True)
+    """Return the chart of the mean steady-state error of each policy in a scenario, with its interval."""
+    tooltip = _tooltip(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
+    x = _number("value", "mean steady-state error [m], 95 % interval", log=True)
     y = {"field": "policy", "type": "nominal", "sort": None, "axis": {"title": None, "labelLimit": 150, "grid": True}}
     return _frame(
         [
@@ -106,7 +109,7 @@ def _steady_rmses(looks: _Looks) -> Spec:
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 55, "opacity": 1},
-                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
+                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": tooltip},
             },
         ],
         height={"step": 19},
@@ -114,22 +117,22 @@ def _steady_rmses(looks: _Looks) -> Spec:
 
 
 def _shares(looks: _Looks) -> Spec:
-    """Return the share of a scenario's episodes whose tail error is at most x."""
+    """Return the chart of the cumulative distribution of the steady-state error over the episodes of a scenario."""
     share = {"axis": {"title": "share of the episodes", "format": "%", "tickCount": 5}, "scale": {"domain": [0, 1]}}
     return _frame(
         [
             {
                 "mark": {**_LINE, "interpolate": "step-after"},
                 "encoding": {
-                    "x": _number("steady_rmse", "tail error of an episode [m]; dotted: lost", log=True),
+                    "x": _number("steady_rmse", "steady-state error of an episode [m]; dotted: error cap", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
-                    "tooltip": _NAMED,
+                    "tooltip": _POLICY_TOOLTIP,
                     **looks.of("color", "strokeDash"),
                 },
             },
             {
                 "data": {"name": "caps"},
-                "mark": {"type": "rule", "strokeDash": [2, 3], "color": QUIET},
+                "mark": {"type": "rule", "strokeDash": [2, 3], "color": GUIDE_COLOUR},
                 "encoding": {"x": {"field": "cap", "type": "quantitative"}},
             },
         ],
@@ -138,8 +141,8 @@ def _shares(looks: _Looks) -> Spec:
 
 
 def _bands(looks: _Looks) -> Spec:
-    """Return the position error over time: median and band of the episodes."""
-    t = _number("t", "time [s]; dotted: the tail begins", zero=True, nice=False)
+    """Return the chart of the position error over time: median and band of the episodes."""
+    t = _number("t", "time [s]; dotted: a third of the episode", zero=True, nice=False)
     error = _number("middle", "position error [m]", log=True, clamp=True)
     return _frame(
         [
@@ -149,11 +152,11 @@ def _bands(looks: _Looks) -> Spec:
             },
             {
                 "mark": _LINE,
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _NAMED},
+                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _POLICY_TOOLTIP},
             },
             {
                 "data": {"name": "steady_rmses"},
-                "mark": {"type": "rule", "strokeDash": [2, 3], "color": QUIET},
+                "mark": {"type": "rule", "strokeDash": [2, 3], "color": GUIDE_COLOUR},
                 "encoding": {"x": {"field": "t", "type": "quantitative"}},
             },
         ],
@@ -162,18 +165,18 @@ def _bands(looks: _Looks) -> Spec:
 
 
 def _errors(looks: _Looks) -> Spec:
-    """Return the position error of one episode over time, with a cursor at the time that is played."""
+    """Return the chart of the position error of one episode over time, with a cursor at the time of the player."""
     t = _number("t", "time [s]", zero=True, nice=False)
     error = _number("error", "position error [m]", log=True, clamp=True)
     return _frame(
         [
             {
                 "mark": _LINE,
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _NAMED},
+                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _POLICY_TOOLTIP},
             },
             {
                 "data": {"values": [{}]},
-                "mark": {"type": "rule", "color": QUIET, "strokeWidth": 1.5},
+                "mark": {"type": "rule", "color": GUIDE_COLOUR, "strokeWidth": 1.5},
                 "encoding": {"x": {"datum": {"expr": "now"}, "type": "quantitative"}},
             },
         ],

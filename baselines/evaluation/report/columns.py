@@ -1,4 +1,4 @@
-"""The columns of a result: each one's name, unit, definition and format, for every table, file and page that has it.
+"""The columns of a result: name, unit, definition and format, for all tables, files and pages.
 
 A new `Column` in `COLUMNS` is a new column everywhere.
 """
@@ -12,10 +12,10 @@ from typing import Any
 
 from baselines.evaluation.metrics import WORST, Summary, failure_bound
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL, fixed, fixed_ends
+from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL, Score, fixed, fixed_ends
 
 NONE = "-"
-"""Shown where there is no value."""
+"""Text for a missing value."""
 _CAPS = (
     " or ".join(f"{cap:g} m ({speed_range})" for speed_range, cap in ERROR_CAPS.items()) + ", of the paper's vehicle"
 )
@@ -23,22 +23,22 @@ _CAPS = (
 
 @dataclass(frozen=True)
 class Column:
-    """One quantity of a policy in a scenario, or in all those of a regime."""
+    """One quantity of a policy in a scenario, or in all scenarios of a speed range."""
 
-    key: str  # in results.json, a dot between a table and its entry; in results.csv `_` is in its place
-    heading: str  # in tables, unit included; "" keeps it out of them
+    key: str  # in results.json, with a dot between a table and its entry; in results.csv with `_` instead
+    heading: str  # heading in tables with the unit; "" for columns that tables do not have
     definition: str
-    value: Callable[[Entry, Summary], Any]  # plain JSON; None where there is none
-    form: Callable[[Any], str] = str  # what a table shows of the value
-    keep: int = 0  # where a terminal is too narrow the smallest go first
-    show: Callable[[Entry, Summary], str] | None = None  # what a table shows, if that is more than the value
+    value: Callable[[Entry, Summary], Any]  # plain JSON; None for a missing value
+    form: Callable[[Any], str] = str  # format of the value in tables
+    keep: int = 0  # priority: a narrow terminal drops the columns of the lowest numbers
+    show: Callable[[Entry, Summary], str] | None = None  # text in tables, if it has more than the value
 
     def of(self, entry: Entry) -> Any:
-        """Return an entry's value, None where its policy failed."""
+        """Return the value of an entry, None if its policy failed."""
         return None if entry.summary is None else self.value(entry, entry.summary)
 
     def text(self, entry: Entry) -> str:
-        """Return an entry's cell of a table."""
+        """Return the value of an entry as the text of a table cell."""
         if self.show is not None and entry.summary is not None:
             return self.show(entry, entry.summary)
         value = self.of(entry)
@@ -47,12 +47,12 @@ class Column:
 
     @property
     def name(self) -> str:
-        """The name of the column in results.csv, where a table's mean has the name of the table."""
+        """The name of the column in results.csv; the mean of a table has the name of the table."""
         return self.key.removesuffix(".mean").replace(".", "_")
 
 
 def digits(count: int) -> Callable[[float], str]:
-    """Return the format of numbers with that many significant digits."""
+    """Return the format of numbers with `count` significant digits."""
     return lambda value: f"{value:.{count}g}"
 
 
@@ -72,9 +72,18 @@ def ratio_text(value: float) -> str:
 
 
 def failures_text(failed: int, episodes: int) -> str:
-    """Return how many episodes were lost, and the largest share that can be meant by it."""
+    """Return the number of failed episodes, and the 95 % upper confidence bound of the failure rate, as text."""
     most = 100 * failure_bound(failed, episodes)
     return f"{failed} of {episodes} (<= {most:.2g} %)" if most < 99.5 else f"{failed} of {episodes}"
+
+
+def difference_text(value: Score | None) -> str:
+    """Return a difference with its interval as text."""
+    if value is None:
+        return NONE
+    low, high = value.ci95
+    interval = f" ({low:+.2g} ... {high:+.2g})" if math.isfinite(low) else ""
+    return f"{value.mean:+.3g}{interval}"
 
 
 COLUMNS = (
@@ -94,6 +103,12 @@ COLUMNS = (
     Column("steady_rmse_m.cvar95", "worst 5 % [m]",
            f"mean of the worst {100 * WORST:g} % of the steady-state errors (conditional value at risk)",
            lambda _, s: s.steady_rmse_m.cvar95, digits(3), 3),
+    Column("to_best_m.mean", "to best [m]",
+           "mean steady-state error minus that of the best policy in the same episodes, with its 95 % bootstrap "
+           f"interval; the best one is that with the smallest mean, without {ORACLE} and {OPTIMUM_POLICY}",
+           lambda e, _: e.to_best and e.to_best.mean, digits(3), 6, lambda e, _: difference_text(e.to_best)),
+    Column("to_best_m.ci95", "", "95 % bootstrap interval of that difference over paired episodes",
+           lambda e, _: e.to_best and list(e.to_best.ci95)),
     Column("score.mean", "score",
            "(E_0 - E_policy) / (E_0 - E_1), E the mean steady-state error in the same episodes: 0 is the paper's "
            f"law, 1 in benchmark-v2 the full-information optimum, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
@@ -127,17 +142,17 @@ COLUMNS = (
     Column("decision_ms", "ms", "wall time of one decision for one vehicle, with many vehicles simulated together",
            lambda e, _: 1e3 * e.decision_seconds, digits(2)),
 )  # fmt: skip
-"""What is told of every policy, in the order of the tables."""
-_SHOWN = tuple(column for column in COLUMNS if column.heading)  # the columns that tables have
+"""The columns, in the order of the tables."""
+_SHOWN = tuple(column for column in COLUMNS if column.heading)  # the columns of tables
 
 
 def used(entries: Sequence[Entry]) -> list[Column]:
-    """Return the columns of tables in which one of the entries has a value."""
+    """Return the columns of tables in which at least one entry has a value."""
     return [column for column in _SHOWN if any(column.text(entry) != NONE for entry in entries)]
 
 
 def record(entry: Entry) -> dict[str, Any]:
-    """Return an entry's values as they stand in results.json; None where there is none."""
+    """Return the values of an entry by the keys of results.json; a missing value is None."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
         table, _, name = column.key.partition(".")
@@ -150,7 +165,7 @@ def record(entry: Entry) -> dict[str, Any]:
 
 
 def line(entry: Entry) -> dict[str, Any]:
-    """Return an entry's values as they stand in a line of results.csv; an interval has a column for each end."""
+    """Return the values of an entry by the columns of results.csv; an interval has a column for each end."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
         value = column.of(entry)
@@ -163,7 +178,7 @@ def line(entry: Entry) -> dict[str, Any]:
 
 
 def ranked(entries: Sequence[Entry]) -> list[Entry]:
-    """Return the entries of one scenario, or of one regime, the best score first; without scores the smallest tail."""
+    """Return the entries of a scenario or speed range, best score first, or smallest error first without scores."""
 
     def rank(entry: Entry) -> tuple[bool, bool, float]:
         score = entry.score.mean if entry.score else math.nan
@@ -174,5 +189,5 @@ def ranked(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def definitions() -> dict[str, str]:
-    """Return what each column is, by its heading, or by its key where tables do not have it."""
+    """Return the definition of each column, by its heading, or by its key if it has none."""
     return {column.heading or column.key: column.definition for column in COLUMNS}

@@ -1,4 +1,4 @@
-"""results.json and results.csv."""
+"""Writes the texts of results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from baselines.evaluation.request import Request
 from baselines.tools.files import finite, json_text, versions
 
 FORMULA = ("=", "+", "-", "@")
-"""What a spreadsheet takes for the beginning of a formula."""
+"""Characters that begin a formula in a spreadsheet."""
 
 
 def results_json(request: Request, results: Sequence[Result], scores: Sequence[Entry]) -> str:
-    """Return the text of results.json: strict JSON, null for what is not a number."""
+    """Return the text of results.json: strict JSON, with null for numbers that are not finite."""
     content: dict[str, Any] = {
         "suite": request.suite,
         "suite_hash": request.hash,
@@ -43,14 +43,14 @@ def results_json(request: Request, results: Sequence[Result], scores: Sequence[E
 
 
 def results_csv(results: Sequence[Result]) -> str:
-    """Return the text of results.csv: the results of results.json, one line each, empty where those are null."""
+    """Return the text of results.csv: a line for each result of results.json, with empty cells for null."""
     lines = []
     for result in results:
         run, when = result.run, result.run.recorded
         before = {"policy": run.policy, "scenario": run.scenario.name}
-        behind = {"seconds": run.seconds, "recorded": when and when.date, "error": run.error}
-        values = finite({**before, **line(result.entry), **behind, "warnings": " | ".join(run.warnings)})
-        lines.append({name: _harmless(value) for name, value in values.items()})
+        after = {"seconds": run.seconds, "recorded": when and when.date, "error": run.error}
+        values = finite({**before, **line(result.entry), **after, "warnings": " | ".join(run.warnings)})
+        lines.append({name: _escaped(value) for name, value in values.items()})
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
     writer.writeheader()
@@ -58,6 +58,6 @@ def results_csv(results: Sequence[Result]) -> str:
     return text.getvalue()
 
 
-def _harmless(value: Any) -> Any:
-    """Return a cell that no spreadsheet takes for a formula."""
+def _escaped(value: Any) -> Any:
+    """Return a cell that a spreadsheet does not interpret as a formula."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value

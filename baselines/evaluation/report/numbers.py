@@ -1,10 +1,10 @@
-"""The report in numbers: what runs come to, policy by policy, in each scenario and in all those of a regime."""
+"""Computes the results of policies from runs, for each scenario, and pooled over each speed range."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     EXPERT,
+    FORESIGHTED,
     RIVAL,
     VEHICLE_MARK,
     Anchors,
     Score,
     capped,
     count_failures,
+    difference,
     error_cap,
     in_paper_metres,
     paired,
@@ -30,49 +32,55 @@ from baselines.evaluation.score import (
 )
 
 _Case = Mapping[str, Measures]
-"""What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_metres`."""
-_PAPER = "paper"  # names the paper's vehicle where there are others
+"""Metrics in a scenario by policy, in metres of the paper's vehicle, see `score.in_paper_metres`."""
+_PAPER = "paper"  # name of the paper's vehicle in results of several vehicles
 
 
 @dataclass(frozen=True)
 class Entry:
-    """The figures of a policy in a scenario, or in all those of a regime together.
+    """The results of a policy in a scenario, or pooled over a speed range.
 
-    Distances are in metres; those of several vehicles together in metres of the paper's, see `score.unit_of`.
+    Distances are in metres; pooled over several vehicles, they are in metres of the paper's, see `score.unit_of`.
     """
 
     policy: str
-    place: str  # the scenario, the regime, or regime@vehicle where there are several
-    recorded: bool  # whether its episodes were not run now
+    place: str  # the scenario, the speed range, or SPEED_RANGE@VEHICLE if there are several vehicles
+    recorded: bool  # whether its rows are recorded ones
     decision_seconds: float  # of the policy for one vehicle and control step
     summary: Summary | None = None  # None: the policy failed
-    effort_ratio: float = math.nan  # effort over the expert's; nan if there is no expert
-    smoothness_ratio: float = math.nan  # smoothness over the expert's; nan if there is no expert
+    effort_ratio: float = math.nan  # effort over the expert's; nan without the expert
+    smoothness_ratio: float = math.nan  # smoothness over the expert's; nan without the expert
     score: Score | None = None  # None: one of the anchors is missing
-    capped: Score | None = None  # with every tail RMSE at most `score.ERROR_CAPS`
-    failed: int = 0  # episodes, see `score.has_failed`
-    error_ratio: float = math.nan  # mean capped tail over that of `score.RIVAL`; nan if it is missing
+    capped: Score | None = None  # the score with steady-state errors of at most the error cap
+    failed: int = 0  # number of failed episodes, see `score.has_failed`
+    error_ratio: float = math.nan  # mean capped steady-state error over that of `score.RIVAL`; nan without it
+    to_best: Score | None = None  # [m] steady-state error minus that of the best policy; None if there is one policy
 
 
 @dataclass(frozen=True)
 class Result:
-    """A run and its figures."""
+    """A run and its results."""
 
     run: Run
     entry: Entry
 
 
 def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]:
-    """Return a result for each run; the score's anchors are those of the suite, None for none: `Anchors.among`."""
+    """Return the result of each run; `anchors` are those of the suite, None without a suite, see `Anchors.among`."""
     cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
     own = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
-    return [Result(run, _entry(run.scenario.name, [run], case, ends)) for run, case in zip(runs, own, strict=True)]
+    entries = [_entry(run.scenario.name, [run], case, ends) for run, case in zip(runs, own, strict=True)]
+    compared = [
+        _to_best(entry, [e for e in entries if e.place == entry.place], case, unit_of(run.scenario))
+        for run, case, entry in zip(runs, own, entries, strict=True)
+    ]
+    return [Result(run, entry) for run, entry in zip(runs, compared, strict=True)]
 
 
 def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
-    """Return the figures of every policy in every regime of which it ran all cases; `anchors` as in `compare`.
+    """Return the pooled results of each policy in each speed range whose cases it ran; `anchors` as in `compare`.
 
-    Where a regime has several vehicles, those of each vehicle follow.
+    If a speed range has several vehicles, the results of each vehicle follow.
     """
     measures, found = measures_of(runs), []
     ends = anchors or Anchors.among({run.policy for run in runs})
@@ -80,16 +88,29 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
     for run in runs:
         by_policy.setdefault(run.policy, []).append(run)
     for place, names in _places(list(measures)).items():
-        cases = {name: measures[name] for name in names}
+        cases, entries = {name: measures[name] for name in names}, []
         for policy, every in by_policy.items():
             own = [run for run in every if run.scenario.name in cases]
             if own and all(policy in case for case in cases.values()):
-                found.append(_entry(place, own, cases, ends))
+                entries.append(_entry(place, own, cases, ends))
+        units = {unit_of(run.scenario) for run in runs if run.scenario.name in cases}
+        found += [_to_best(entry, entries, cases, units.pop() if len(units) == 1 else 1.0) for entry in entries]
     return found
 
 
+def _to_best(entry: Entry, entries: Sequence[Entry], cases: Mapping[str, _Case], unit: float) -> Entry:
+    """Return an entry with the difference to the best entry of its place; `unit` as in `score.unit_of`."""
+    known = [e for e in entries if e.summary is not None and e.policy not in FORESIGHTED]
+    best = min(known, key=lambda e: e.summary.steady_rmse_m.mean if e.summary else math.inf, default=None)
+    if entry.summary is None or best is None or best is entry:
+        return entry
+    pairs = [paired(case[best.policy], case[entry.policy]) for case in cases.values()]
+    theirs, own = ([unit * m.steady_rmse for m in column] for column in zip(*pairs, strict=True))
+    return replace(entry, to_best=difference(theirs, own))
+
+
 def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
-    """Return what is told together: the scenarios of each regime and, where it has several, of each vehicle."""
+    """Return the scenarios of each speed range, and of each vehicle in it if there are several, by place."""
     found: dict[str, list[str]] = {}
     for speed_range in SPEED_RANGES:
         own = [name for name in scenarios if speed_range_of(name) == speed_range]
@@ -104,7 +125,7 @@ def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchors: Anchors) -> Entry:
-    """Return the figures of one policy's runs, all together, in these cases."""
+    """Return the results of a policy's runs, pooled over some cases."""
     policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(error_cap, by_name))
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
     if any(policy not in case for case in cases):
@@ -135,12 +156,12 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
 
 
 def _capped(cases: Sequence[Measures], caps: Sequence[float]) -> list[Array]:
-    """Return the capped tails [m] in each case."""
+    """Return the capped steady-state errors [m] in each case."""
     return list(map(capped, cases, caps))
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
-    """Return what was measured in metres of the paper's vehicle, by scenario, then by policy; without failed runs."""
+    """Return the metrics in metres of the paper's vehicle, by scenario and policy, without failed runs."""
     found: dict[str, dict[str, Measures]] = {}
     for run in runs:
         case = found.setdefault(run.scenario.name, {})
@@ -150,7 +171,7 @@ def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
 
 
 def recordings(results: Sequence[Result]) -> str:
-    """Return which rows were recorded, when and with what version, in words; "" if none was."""
+    """Return a text with the policies, dates and versions of recorded rows; "" without recorded rows."""
     found: dict[str, list[str]] = {}
     for result in results:
         if result.run.recorded is not None:

@@ -1,7 +1,7 @@
-"""A page that opens from disk: a template, its style, scripts and charts, and all of its data in one file.
+"""Renders a page as one file: template, style, scripts, charts and data.
 
-Vega-Lite draws the charts. Its code comes from vl-convert, once for all charts of a page, and lies in it compressed, as
-the data do; the browser unpacks both. Text goes through Jinja2's escaping, data through JSON: names are users' own.
+Vega-Lite draws the charts. Its code comes from vl-convert. The page has one compressed copy of it, and the compressed
+data; the browser decompresses both. Names come from users, so Jinja2 escapes text, and data are JSON.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from baselines.tools.files import finite, write_atomically
 
 WEB = Path(__file__).parent / "web"
 """The templates, the style and the scripts."""
-_MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # said where they are not there
+_MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # the message if they are missing
 _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colours of -1, 0 and 1
-_SNIPPET = "window.vegaEmbed = vegaEmbed;"  # what the pages need of the library
+_SNIPPET = "window.vegaEmbed = vegaEmbed;"  # the function of the library that pages use
 
 
 def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **context: Any) -> str:
@@ -33,12 +33,12 @@ def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **con
 
     Args:
         template: name of a file in `WEB`.
-        data: what the scripts read, plain JSON; null in place of numbers that are not finite.
-        scripts: names of the files in `WEB` that this page has besides `page.js`.
-        context: what the template needs; text in it is escaped.
+        data: data of the scripts, plain JSON; numbers that are not finite become null.
+        scripts: names of files in `WEB`, in addition to `page.js`.
+        context: variables of the template; text in them is escaped.
 
     Raises:
-        ImportError: a library is missing; the message says which extra has it.
+        ImportError: a library is missing; the message says which extra to install.
     """
     try:
         import jinja2
@@ -49,8 +49,8 @@ def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **con
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     return environment.get_template(template).render(
-        style=_own("page.css"),
-        script="\n".join(_own(name) for name in ("page.js", *scripts)),
+        style=_web_file("page.css"),
+        script="\n".join(_web_file(name) for name in ("page.js", *scripts)),
         library=_library(),
         data=_packed(json.dumps(finite(data), separators=(",", ":"), allow_nan=False)),
         **context,
@@ -58,25 +58,25 @@ def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **con
 
 
 def mixed(share: float) -> str:
-    """Return the colour of a value in [-1, 1], what is beyond cut: orange, white, blue, which all eyes tell apart."""
+    """Return the colour of a value, clipped to [-1, 1], on a scale from orange over white to blue."""
     share = min(max(share, -1.0), 1.0)
     end = _BEST if share > 0 else _WORST
     return "#{:02x}{:02x}{:02x}".format(*(round(a + (b - a) * abs(share)) for a, b in zip(_MIDDLE, end, strict=True)))
 
 
 def _packed(text: str) -> str:
-    """Return a text compressed, in characters that mean nothing to HTML; the same text gives the same characters."""
+    """Return a text compressed and encoded as base64; the same text gives the same result."""
     return base64.b64encode(gzip.compress(text.encode(errors="backslashreplace"), mtime=0)).decode("ascii")
 
 
-def _own(name: str) -> str:
-    """Return a file of `WEB`, as it stands on the page."""
+def _web_file(name: str) -> str:
+    """Return the text of a file in `WEB`."""
     return (WEB / name).read_text(encoding="utf-8")
 
 
 @cache
 def _library() -> str:
-    """Return the code that draws charts, packed; it is made once and kept, since that takes seconds.
+    """Return the packed code of the charts' library; it is cached in a file, since making it takes seconds.
 
     Raises:
         ImportError: the library is missing.
@@ -89,13 +89,13 @@ def _library() -> str:
     name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
     for folder in cache_folders():
         with suppress(OSError, ValueError, EOFError, zlib.error), open_own(folder / name) as file:
-            code = file.read().decode("ascii")  # else it is not there, damaged, or not this user's
+            code = file.read().decode("ascii")  # an exception: it is missing, damaged, or another user's
             gzip.decompress(base64.b64decode(code))
             return code
     code = _packed(vl_convert.javascript_bundle(_SNIPPET))
     for folder in cache_folders():
-        with suppress(OSError):  # it is made again the next time
+        with suppress(OSError):  # without a cache it is made again the next time
             write_atomically(own_folder(folder) / name, code)
-            (folder / name).chmod(0o644)  # no umask lets others write
+            (folder / name).chmod(0o644)  # not writable for other users, whatever the umask is
             break
     return code

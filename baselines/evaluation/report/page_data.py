@@ -1,4 +1,4 @@
-"""What the scripts of the report's page read: plain lists of numbers, few enough for the page to stay small."""
+"""The data of the report's page for its scripts: plain lists of numbers, reduced so that the page stays small."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from baselines.evaluation.score import ERROR_CAPS, EXPERT, OPTIMUM_POLICY, cap_k
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 FEW = 10
-"""Most policies that a page shows at first; the others can be switched on."""
+"""Largest number of policies that a page shows initially; the user can switch on the others."""
 LEVELS = np.linspace(0.0, 1.0, 41)
-"""Shares of the episodes at which a distribution of many of them is kept."""
+"""Levels of the quantiles that represent the distribution of many episodes."""
 INSTANTS = 120
-"""Most instants of an error over time."""
+"""Largest number of instants of an error over time."""
 FRAMES = 150
-"""Most instants of an episode that is played."""
+"""Largest number of instants of an episode in the player."""
 _LEAST = 1e-9
 """Smallest error [m] on a logarithmic axis."""
 LARGEST_TRACES = 60_000
-"""Most instants of all episodes together: with many policies in many scenarios fewer episodes are played."""
+"""Largest number of instants of all episodes together; with many policies and scenarios the player has fewer."""
 
 
 def page_data(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, Any]:
-    """Return the data of the page about an evaluation."""
+    """Return the data of an evaluation's page."""
     done = [result for result in results if result.entry.summary is not None]
     policies = list(dict.fromkeys(result.run.policy for result in done))
     shown, scenarios = at_first(done, pooled), by_scenario(done)
@@ -46,18 +46,18 @@ def page_data(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, A
 
 
 def _worst(results: Sequence[Result]) -> float:
-    """Return the mean tail error [m] of a scenario's first policy, the expert: where it is largest is most to see."""
+    """Return the mean steady-state error [m] of the first policy, the expert; the page opens where it is largest."""
     return results[0].entry.summary.steady_rmse_m.mean if results[0].entry.summary else 0.0
 
 
 def look_of(policy: str, policies: Sequence[str]) -> dict[str, Any]:
-    """Return a policy's look as the page draws it: colour, dash in pixels, outline of the marker."""
+    """Return a policy's look for the page: colour, dash pattern in pixels, outline of the marker."""
     own = look(policy, policies)
     return {"colour": own.colour, "dash": list(DASHES[own.dash][1]), "outline": OUTLINES[own.marker]}
 
 
 def by_scenario(results: Iterable[Result]) -> list[tuple[Scenario, list[Result]]]:
-    """Return the results of each scenario, the scenarios in their order."""
+    """Return each scenario with its results, in the order of the results."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault(result.run.scenario.name, []).append(result)
@@ -65,7 +65,7 @@ def by_scenario(results: Iterable[Result]) -> list[tuple[Scenario, list[Result]]
 
 
 def at_first(results: Sequence[Result], pooled: Sequence[Entry]) -> set[str]:
-    """Return the policies that are shown at first: all if they are few, else those that ran now and the best ones."""
+    """Return the policies that are shown initially: all of a few, otherwise those that ran now and the best ones."""
     live = [result.run.policy for result in results if result.run.recorded is None]
     entries = [entry for entry in pooled or [result.entry for result in results] if entry.summary is not None]
     groups = [ranked([e for e in entries if e.place == place]) for place in dict.fromkeys(e.place for e in entries)]
@@ -78,7 +78,7 @@ def at_first(results: Sequence[Result], pooled: Sequence[Entry]) -> set[str]:
 
 
 def _traced(results: Sequence[Result]) -> int:
-    """Return how many episodes of each scenario can be played."""
+    """Return the number of episodes of each scenario in the player."""
     most = max((len(result.run.tracks) for result in results), default=0)
     runs = sum(1 for result in results if result.run.tracks)
     return min(most, max(1, LARGEST_TRACES // (FRAMES * runs))) if runs else TRACED
@@ -99,7 +99,7 @@ def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dic
 
 
 def _row(entry: Entry, results: Sequence[Result]) -> dict[str, Any]:
-    """Return what the charts of a scenario show of a policy."""
+    """Return the data of a policy for the charts of a scenario."""
     (run,) = (result.run for result in results if result.entry is entry)
     assert entry.summary is not None
     assert run.measures is not None
@@ -114,7 +114,7 @@ def _row(entry: Entry, results: Sequence[Result]) -> dict[str, Any]:
 
 
 def _interval(mean: float, ci95: tuple[float, float], form: Any, form_ends: Any) -> dict[str, Any]:
-    """Return a value with its interval, as numbers and in words; without an interval it is a point."""
+    """Return a value with its interval, as numbers and as text; a missing interval becomes a point."""
     known = all(map(math.isfinite, ci95))
     low, high = ci95 if known else (mean, mean)
     text = f"{form(mean)} ({form_ends(ci95)})" if known else form(mean)
@@ -122,12 +122,12 @@ def _interval(mean: float, ci95: tuple[float, float], form: Any, form_ends: Any)
 
 
 def _positive(interval: dict[str, Any]) -> dict[str, Any]:
-    """Return an interval that a logarithmic axis can show."""
+    """Return an interval with positive ends, for a logarithmic axis."""
     return {key: value if key == "text" else max(value, _LEAST) for key, value in interval.items()}
 
 
 def _distribution(values: Array) -> list[list[float]]:
-    """Return values and the shares that are at most as large, all of a few values and some of many."""
+    """Return the cumulative distribution: values and shares, exact for few values and at `LEVELS` for many."""
     few = len(values) <= len(LEVELS)
     shares = np.arange(1, len(values) + 1) / len(values) if few else LEVELS
     levels = np.sort(values) if few else np.quantile(values, LEVELS)
@@ -135,7 +135,7 @@ def _distribution(values: Array) -> list[list[float]]:
 
 
 def _band(result: Result, scenario: Scenario) -> dict[str, Any]:
-    """Return the band of the position error over time, one value of each few steps."""
+    """Return the band of the position error over time, at `INSTANTS` times or fewer."""
     assert result.run.bands is not None
     kept = _kept(result.run.bands.shape[1], INSTANTS)
     low, middle, high = (_shortened(np.maximum(row[kept], _LEAST)) for row in result.run.bands)
@@ -144,7 +144,7 @@ def _band(result: Result, scenario: Scenario) -> dict[str, Any]:
 
 
 def _episode(results: Sequence[Result], scenario: Scenario, i: int) -> dict[str, Any]:
-    """Return the i-th episode as it is played: the reference, and every policy's way, heading, error and current."""
+    """Return the i-th episode for the player: the reference, and trajectory, error and current of each policy."""
     tracks = {r.run.policy: r.run.tracks[i] for r in results if len(r.run.tracks) > i}
     longest = max(tracks.values(), key=lambda track: len(track.position))
     kept = _kept(len(longest.position), FRAMES)
@@ -164,13 +164,13 @@ def _vehicle(track: Track, kept: Array) -> dict[str, Any]:
 
 
 def _pose(position: Array, heading: Array, kept: Array) -> dict[str, Any]:
-    """Return a way in centimetres and hundredths of a radian, which is finer than a screen."""
+    """Return positions in centimetres and headings in hundredths of a radian, as integers."""
     x, y = np.round(100 * position[kept].T).astype(int).tolist()
     return {"x": x, "y": y, "psi": np.round(100 * heading[kept]).astype(int).tolist()}
 
 
 def _kept(count: int, most: int) -> Any:
-    """Return at most so many of the first `count` numbers, equally far apart, 0 among them."""
+    """Return at most `most` equidistant integers of range(count), from 0 on."""
     return np.arange(0, count, math.ceil(count / most))
 
 

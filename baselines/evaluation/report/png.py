@@ -1,4 +1,4 @@
-"""The report's charts as PNG files, drawn from the same specifications as on the page."""
+"""Draws the report's charts as PNG files, from the same specifications as the page."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.score import FORESIGHTED
 
-_WIDTH = 640  # [px] of a chart, without its axis
-_SCALE = 2.0  # pixels of the file for each pixel of the chart
+_WIDTH = 640  # [px] width of a chart without its axis
+_SCALE = 2.0  # resolution of the file, relative to the chart
 
 
 def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, bytes]:
-    """Return the charts as PNG by name: scores of a regime, tail errors and errors over time of a scenario."""
+    """Return PNG charts by name: scores of speed ranges, steady-state errors and errors over time of scenarios."""
     data = page_data(results, pooled)
     specs, scenarios, found = data["charts"], data["scenarios"], {}
     for speed_range in dict.fromkeys(s["speed_range"] for s in scenarios if s["speed_range"]):
@@ -31,7 +31,7 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
             found[f"scores-{speed_range}"] = _png(specs["scores"], rows)
     for s in scenarios:
         steady_rmses = [{"policy": row["policy"], "failed": row["failed"], **row["steady_rmse"]} for row in s["rows"]]
-        found[f"tails-{s['name']}"] = _png(specs["steady_rmses"], steady_rmses)
+        found[f"steady-rmse-{s['name']}"] = _png(specs["steady_rmses"], steady_rmses)
         names = "t", "low", "middle", "high"
         bands = [
             {"policy": band["policy"], **dict(zip(names, values, strict=True))}
@@ -52,7 +52,7 @@ def _png(spec: Spec, rows: Sequence[Any], others: Mapping[str, Any] | None = Non
 
 
 def _with_legend(node: Any, names: Sequence[str]) -> Any:
-    """Return a specification with a legend of the policies of these names; on the page their table is the legend."""
+    """Return a specification with a legend of these policies; on the page their table is the legend."""
     if isinstance(node, list):
         return [_with_legend(item, names) for item in node]
     if not isinstance(node, dict):

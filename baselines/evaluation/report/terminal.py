@@ -1,4 +1,4 @@
-"""The report on the terminal."""
+"""Prints the report on the terminal."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
 
-_WIDTH = 200  # characters in a line of a table that does not go to a terminal
-LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
+_WIDTH = 200  # [characters] width of tables without a terminal
+LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # style of all tables
 
 
 def console() -> Console:
-    """Return the console for tables on stdout, wide enough for them where it is no terminal."""
+    """Return the console for tables on stdout; without a terminal it has a fixed width."""
     out = Console(highlight=False)
     return out if out.is_terminal else Console(highlight=False, width=_WIDTH)
 
 
 def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Path) -> None:
-    """Print the tables, and on stderr what went wrong."""
+    """Print the tables, and warnings and failures on stderr."""
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     shown = [r for r in results if r.run.recorded is None or r.run.policy in FORESIGHTED]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
@@ -37,12 +37,12 @@ def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Pat
         more = "; case by case in report.html" if len(shown) < len(results) else ""
         out.print(f"* recorded, not run now: {when}{more}", soft_wrap=True, markup=False)
     out.print(f"Wrote report.html, results.json and results.csv to {folder}", soft_wrap=True, markup=False)
-    for line in _complaints(results):
+    for line in _messages(results):
         err.print(line, markup=False)
 
 
-def _complaints(results: Sequence[Result]) -> Iterator[str]:
-    """Yield a line for each policy with warnings, and one for each run that failed."""
+def _messages(results: Sequence[Result]) -> Iterator[str]:
+    """Yield a line for each policy with warnings, and for each failed run."""
     for policy, own in groupby(sorted(results, key=lambda r: r.run.policy), key=lambda r: r.run.policy):
         messages = [message for result in own for message in result.run.warnings]
         if messages:
@@ -54,7 +54,7 @@ def _complaints(results: Sequence[Result]) -> Iterator[str]:
 
 
 def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console) -> Table:
-    """Return a table, scenario by scenario or regime by regime, the best first, with as many columns as there is room.
+    """Return a table by scenario or speed range, the best policies first, with the columns that fit into the console.
 
     Columns are left out in the order of `Column.keep`.
     """

@@ -1,1 +1,1 @@
-"""Others can enter: what a policy did in a frozen suite as one small file, checked, run again, on the leaderboard."""
+"""Submissions to the leaderboard: the results of a policy on a frozen suite as one file, and their verification."""

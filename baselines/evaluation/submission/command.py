@@ -22,8 +22,8 @@ from baselines.evaluation.submission.reproduction import (
     ChosenEpisodes,
     chosen,
     chosen_cells,
+    detectable_share,
     mismatches,
-    smallest_caught,
 )
 from baselines.evaluation.submission.scores import anchor_errors, entries
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
@@ -32,35 +32,35 @@ from baselines.tools.workers import DEFAULT_JOBS, Workers
 PROGRAM = "auv-gym submit"
 _SHOWN = 5
 """Largest number of mismatches that are printed."""
-MOST_SEED = 2**32  # of the seeds that choose the episodes
+MOST_SEED = 2**32  # upper limit of the seeds that choose the episodes
 
 
 @dataclass(frozen=True)
 class Options:
-    """Check a submission and show its scores; with POLICY, run a share of its episodes again.
+    """Check a submission and print its scores; with POLICY, run a share of its episodes again.
 
-    Exit status: 0 done, 1 the file is damaged, contradicts itself or is not reproduced, 2 wrong usage.
+    Exit status: 0 done, 1 the file is damaged or inconsistent or its results are not reproduced, 2 wrong usage.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """The submission, NAME.npz."""
     policy: Annotated[Positional[str], arg(metavar="[POLICY]")] = ""
-    """The policy as evaluate.py --policy takes it. Without one, nothing runs."""
+    """The policy, as for evaluate.py --policy. Without a policy, no episode runs."""
     share: float = REPRODUCED_SHARE
-    """Share of each case's episodes that is run again, from above 0 to 1."""
+    """Share of the episodes of each case that is run again, in (0, 1]."""
     seed: int | None = None
-    """Seed that chooses them. Default: a random one, which is shown."""
+    """Seed of the choice of episodes. Default: a random one, which is printed."""
     step_limit: float = STEP_LIMIT
-    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    """Largest mean time of a policy for one action, in seconds; a slower policy fails."""
     jobs: int = DEFAULT_JOBS
-    """Worker processes."""
+    """Number of worker processes."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Verify as the arguments say and return the exit status.
+    """Verify a submission and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are wrong.
     """
     options = parse(Options, arguments, PROGRAM)
     check_numbers(options.share, options.seed, options.step_limit, options.jobs)
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def check_numbers(share: float, seed: int | None, step_limit: float, jobs: int) -> None:
-    """Raise UsageError if one of the numbers makes no sense."""
+    """Raise UsageError if a number is out of range."""
     if not 0 < share <= 1:
         raise UsageError(f"--share is {share}; it must be above 0 and at most 1")
     if seed is not None and not 0 <= seed < MOST_SEED:
@@ -95,7 +95,7 @@ def read_file(file: Path) -> Submission:
 
     Raises:
         UsageError: there is no such file.
-        ValueError: it holds no submission, or contradicts itself.
+        ValueError: it is no submission, or inconsistent.
     """
     try:
         return read_submission(file)
@@ -104,7 +104,7 @@ def read_file(file: Path) -> Submission:
 
 
 def episodes_to_run(submission: Submission, share: float, seed: int | None) -> tuple[ChosenEpisodes, int]:
-    """Return the episodes to run again, and the seed that chose them, which is printed."""
+    """Return the episodes to run again and the seed of their choice, and print the seed."""
     seed = secrets.randbelow(MOST_SEED) if seed is None else seed
     episodes = chosen(submission, share, seed)
     count = sum(map(len, episodes.values()))
@@ -118,7 +118,7 @@ def reproduce(submission: Submission, policy: str, episodes: ChosenEpisodes, job
     pairs = [(policy, cell) for cell in chosen_cells(submission, episodes)]
     again = run_and_show(pairs, Workers(jobs), step_limit)
     if again[0].fingerprint != submission.fingerprint:
-        print(f"note: {policy} is not the policy that was submitted: its fingerprint is another one", file=sys.stderr)
+        print(f"note: {policy} is not the submitted policy: its fingerprint differs", file=sys.stderr)
     count, found = sum(map(len, episodes.values())), mismatches(submission, episodes, again)
     if found:
         wrong = len({(m.scenario, m.episode) for m in found})
@@ -127,6 +127,6 @@ def reproduce(submission: Submission, policy: str, episodes: ChosenEpisodes, job
             print(f"  {mismatch}")
         return FAILED
     print(f"Reproduced: all {len(SUBMITTED) * count} numbers, to {100 * RELATIVE:g} % of each.")
-    caught = 100 * smallest_caught(count)
-    print(f"Had {caught:.1f} % of the episodes been made up, this would have shown it with 95 % certainty.")
+    share = 100 * detectable_share(count)
+    print(f"If {share:.1f} % of the episodes had been forged, this test would have found it with 95 % probability.")
     return DONE

@@ -1,6 +1,6 @@
-"""A submission: what a policy did in a frozen suite, episode by episode, in one file that is checked when it is read.
+"""Submissions: results of a policy on a frozen suite, episode by episode, in one file that is checked when it is read.
 
-An .npz of a JSON record and four arrays, an entry for each episode, cell by cell in the order of the suite.
+The file is an .npz with a JSON record and four arrays, which have an entry for each episode in the order of the suite.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from baselines.tools.command_line import printable
 from baselines.tools.files import checked_plain
 
 _FORMAT = 1
-"""Version of the file's layout."""
+"""Version of the file format."""
 LARGEST_SUBMISSION = 200_000
-"""Most bytes of a file."""
+"""Largest size of a file [bytes]."""
 LARGEST_CONTENT = 20 * LARGEST_SUBMISSION
-"""Most bytes that it unpacks to."""
+"""Largest uncompressed size [bytes]."""
 SUBMITTED = ("steady_rmse", "effort", "smoothness", "failed")
-"""What is kept of an episode, fields of `Measures`: tail RMSE [m], effort, rate of the command, ended too far off."""
+"""The metrics of an episode in the file, fields of `Measures`."""
 _TYPES = {key: np.dtype(bool if key == "failed" else np.float32) for key in SUBMITTED}
-_MOST = {"steady_rmse": 1e6, "effort": 1.0, "smoothness": 4.0, "failed": True}  # what a measure can be
+_MOST = {"steady_rmse": 1e6, "effort": 1.0, "smoothness": 4.0, "failed": True}  # largest possible value of a metric
 _TEXTS = ("policy", "fingerprint", "date", "command", "versions")
 KEYS = frozenset(("format", "name", "suite", "suite_hash", "about", "cells", "episodes", "decision_seconds", *_TEXTS))
 """Entries of the record."""
@@ -45,26 +45,26 @@ KEYS = frozenset(("format", "name", "suite", "suite_hash", "about", "cells", "ep
 
 @dataclass(frozen=True)
 class Submission:
-    """What a policy did in all cells of a frozen suite, or in those of some of its regimes."""
+    """Results of a policy in all cells of a frozen suite, or in all cells of some of its speed ranges."""
 
     name: str  # of the entry
-    policy: str  # as it was named on the command line
+    policy: str  # as on the command line
     fingerprint: str  # SHA-256 of the policy's files
     about: About
     versions: Mapping[str, str]
     date: str  # ISO 8601
-    command: str  # that ran it
+    command: str  # command of the evaluation
     suite: Suite
-    runs: tuple[Run, ...]  # cell by cell; of the measures those of `SUBMITTED`, the others nan
+    runs: tuple[Run, ...]  # cell by cell; metrics other than `SUBMITTED` are nan
 
     @property
     def episodes(self) -> int:
-        """How many episodes were run."""
+        """Number of episodes."""
         return sum(len(run.measures or ()) for run in self.runs)
 
     @property
     def stored(self) -> Stored:
-        """What its file holds."""
+        """Content of the file."""
         record = {key: getattr(self, key) for key in ("name", "policy", "fingerprint", "date", "command")}
         record |= {"format": _FORMAT, "suite": self.suite.name, "suite_hash": self.suite.hash}
         record |= {"about": asdict(self.about), "versions": dict(self.versions)}
@@ -81,15 +81,15 @@ def submission_of(
     """Return the submission of a policy's runs.
 
     Args:
-        suite: what they ran in.
-        runs: of one policy, in whole cells, in any order.
-        name: of the entry.
-        about: what is said of it.
-        versions: of what the numbers depend on.
-        command: that ran the policy.
+        suite: the suite.
+        runs: the runs of one policy in whole cells, in any order.
+        name: name of the entry.
+        about: description of the entry.
+        versions: versions of Python and the libraries.
+        command: command of the evaluation.
 
     Raises:
-        ValueError: a run failed or is missing, or name or words are not what they must be.
+        ValueError: a run failed or is missing, or name or description is invalid.
     """
     if failed := next((run for run in runs if run.measures is None), None):
         raise ValueError(f"{failed.policy} failed in {failed.scenario.name}: {failed.error}")
@@ -101,7 +101,7 @@ def submission_of(
 
 
 def save_submission(submission: Submission, file: Path) -> int:
-    """Write a submission and return how many bytes it has.
+    """Write a submission and return the size of the file [bytes].
 
     Raises:
         OSError: the file cannot be written.
@@ -115,18 +115,18 @@ def save_submission(submission: Submission, file: Path) -> int:
 
 
 def read_submission(file: Path) -> Submission:
-    """Return the submission of a file, once all of it is what it must be.
+    """Return the submission of a file after checking all of it.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is too large or damaged, of no suite that there is, or not of whole regimes of it.
+        ValueError: it is too large or damaged, its suite does not exist, or its cells are not whole speed ranges.
     """
     with reading(file, LARGEST_SUBMISSION, LARGEST_CONTENT) as stored:
         return _checked(stored)
 
 
 def _checked(stored: Stored) -> Submission:
-    """Return the submission that a file's content is; ValueError where it is none."""
+    """Return the submission in the content of a file; raise ValueError if it is invalid."""
     record = checked_plain(dict(stored.record))
     if record.get("format") != _FORMAT or set(record) != KEYS:
         raise ValueError(f"its record must be of format {_FORMAT} with {', '.join(sorted(KEYS))}, and nothing else")
@@ -137,7 +137,7 @@ def _checked(stored: Stored) -> Submission:
     _text(record, "fingerprint", r"[0-9a-f]{64}")
     date.fromisoformat(_text(record, "date", r"\d{4}-\d\d-\d\d"))
     if not isinstance(record["versions"], dict) or len(json.dumps(record["versions"])) > 1000:
-        raise ValueError("its versions are no small table")
+        raise ValueError("its versions must be a table of at most 1000 characters")
     for key in record["versions"]:
         _text(record["versions"], key, r"[\w.+-]{1,60}")
     suite = _suite(record)
@@ -150,7 +150,7 @@ def _checked(stored: Stored) -> Submission:
 def _text(record: Mapping[str, Any], key: str, pattern: str) -> str:
     value = record[key]
     if not isinstance(value, str) or value != printable(value) or not re.fullmatch(pattern, value):
-        raise ValueError(f"its {key} is {value!r:.100}, which it cannot be")
+        raise ValueError(f"its {key} is {value!r:.100}, which is invalid")
     return value
 
 
@@ -160,12 +160,12 @@ def _suite(record: Mapping[str, Any]) -> Suite:
         raise ValueError(f"its suite is {name!r:.100}; there are {', '.join(list_suites())}")
     suite = load_suite(name)
     if record["suite_hash"] != suite.hash:
-        raise ValueError(f"it is of another {name}, of hash {record['suite_hash']!r:.20}, not {suite.hash[:12]}")
+        raise ValueError(f"it is for another {name}, of hash {record['suite_hash']!r:.20}, not {suite.hash[:12]}")
     return suite
 
 
 def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> tuple[Run, ...]:
-    """Return the runs of a file, once its cells are whole regimes and its numbers can be true."""
+    """Return the runs of a file after checking that its cells are whole speed ranges and its numbers plausible."""
     cells = _cells(suite, record["cells"])
     lengths = [len(cell.episodes) for cell in cells]
     if record["episodes"] != lengths:
@@ -182,7 +182,7 @@ def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[
     when, bounds = Recorded(record["date"], record["versions"]), np.cumsum([0, *lengths]).tolist()
     parts = [{key: arrays[key][a:b] for key in SUBMITTED} for a, b in itertools.pairwise(bounds)]
     for cell, part in zip(cells, parts, strict=True):
-        _plausible(cell, part)
+        _check_plausible(cell, part)
     make = partial(Run, record["policy"], recorded=when, fingerprint=record["fingerprint"])
     return tuple(
         make(cell.scenario, cell.hash, _measures(part), decision_seconds=float(s))
@@ -191,13 +191,13 @@ def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[
 
 
 def _cells(suite: Suite, names: Any) -> list[Cell]:
-    """Return the cells of these names, which must be all those of some regimes, in the suite's order."""
+    """Return the cells with these names; they must be all cells of some speed ranges, in the suite's order."""
     speed_ranges = (
         {speed_range_of(name) for name in names if isinstance(name, str)} if isinstance(names, list) else set()
     )
     cells = suite.cells_in(speed_ranges)
     if not cells or names != [cell.scenario.name for cell in cells]:
-        raise ValueError(f"its cells are not those of {suite.name}, or of whole regimes of it")
+        raise ValueError(f"its cells are not those of {suite.name}, or of whole speed ranges of it")
     return cells
 
 
@@ -205,26 +205,26 @@ def _is_time(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value < math.inf
 
 
-def _plausible(cell: Cell, part: Mapping[str, NDArray[Any]]) -> None:
-    """Raise ValueError where the numbers of a cell contradict each other."""
+def _check_plausible(cell: Cell, part: Mapping[str, NDArray[Any]]) -> None:
+    """Raise ValueError if the numbers of a cell contradict each other."""
     limit = cell.scenario.lost_distance
     inside = ~part["failed"] & (part["steady_rmse"] > limit * (1 + 1e-6))
     if inside.any():
         i = int(np.argmax(inside))
         raise ValueError(
             f"in episode {i} of {cell.scenario.name} the steady-state error is {part['steady_rmse'][i]:.3g} m, but the "
-            f"episode did not end, as it does beyond {limit:g} m"
+            f"episode did not end, which it must beyond {limit:g} m"
         )
-    # Of N commands: the sum of (a - b)^2 over N - 1 changes is at most 4 times that of a^2.
+    # For N commands a, the sum of the N - 1 squared changes is at most 4 times the sum of a^2.
     share = np.where(part["failed"], 2.0, cell.scenario.steps / max(cell.scenario.steps - 1, 1))
-    wild = part["smoothness"] > 4 * share * part["effort"] * (1 + 1e-5) + 1e-9
-    if wild.any():
-        i = int(np.argmax(wild))
-        raise ValueError(f"in episode {i} of {cell.scenario.name} commands change by more than their size allows")
+    excessive = part["smoothness"] > 4 * share * part["effort"] * (1 + 1e-5) + 1e-9
+    if excessive.any():
+        i = int(np.argmax(excessive))
+        raise ValueError(f"in episode {i} of {cell.scenario.name} the command rate is too large for the effort")
 
 
 def _measures(part: Mapping[str, NDArray[Any]]) -> Measures:
-    """Return measures of which only some are known."""
+    """Return the metrics of a part; those that are not in the file are nan."""
     unknown = np.full(len(part["steady_rmse"]), math.nan)
     known: dict[str, Any] = {
         key: values if key == "failed" else values.astype(np.float64) for key, values in part.items()

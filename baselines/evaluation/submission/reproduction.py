@@ -1,4 +1,4 @@
-"""Whether a policy still does what was submitted of it: a random share of the episodes, run again."""
+"""Checks if a policy reproduces a submission, in a random share of the episodes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from baselines.evaluation.runner import Cell, Run
 from baselines.evaluation.submission.files import SUBMITTED, Submission
 
 REPRODUCED_SHARE = 0.05
-"""Share of each cell's episodes that is run again, unless another one is asked for."""
+"""Default share of each cell's episodes that is run again."""
 RELATIVE = 1e-3
-"""Difference of a measure, as a share of it, up to which it counts as the same."""
+"""Relative tolerance of a metric."""
 ABSOLUTE = {"steady_rmse": 1e-5, "effort": 1e-5, "smoothness": 1e-5, "failed": 0.0}
-"""Difference up to which a measure counts as the same, however small it is; of the tail in m."""
+"""Absolute tolerance of a metric; that of `steady_rmse` is in m."""
 
 ChosenEpisodes = dict[str, NDArray[np.int64]]
-"""Numbers of the episodes to run again, by scenario."""
+"""Indices of the episodes to run again, by scenario."""
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A number that does not repeat."""
+    """A result that is not reproduced."""
 
     scenario: str
-    episode: int  # its number in the cell
+    episode: int  # its index in the cell
     measure: str
     submitted: float
     found: float
@@ -43,26 +43,26 @@ def chosen(submission: Submission, share: float, seed: int) -> ChosenEpisodes:
     """Return a random share of each cell's episodes, at least one, in ascending order.
 
     Args:
-        submission: what is to be reproduced.
+        submission: the submission.
         share: in (0, 1].
-        seed: the same seed, the same episodes.
+        seed: seed of the choice.
     """
     rng, lengths = np.random.default_rng(seed), {r.scenario.name: len(r.measures or ()) for r in submission.runs}
     return {name: np.sort(rng.permutation(n)[: max(1, math.ceil(share * n - 1e-9))]) for name, n in lengths.items()}
 
 
 def chosen_cells(submission: Submission, episodes: ChosenEpisodes) -> list[Cell]:
-    """Return the cells of these episodes."""
+    """Return cells with these episodes only."""
     by_name = {cell.scenario.name: cell for cell in submission.suite.cells}
     return [Cell(by_name[n].scenario, tuple(by_name[n].episodes[i] for i in own)) for n, own in episodes.items()]
 
 
 def mismatches(submission: Submission, episodes: ChosenEpisodes, again: Sequence[Run]) -> list[Mismatch]:
-    """Return what does not repeat, the episodes in the order of the suite.
+    """Return the results that are not reproduced, in the order of the suite.
 
     Args:
-        submission: what is to be reproduced.
-        episodes: that ran again, see `chosen`.
+        submission: the submission.
+        episodes: the repeated episodes, see `chosen`.
         again: their runs, one for each cell.
 
     Raises:
@@ -82,6 +82,6 @@ def mismatches(submission: Submission, episodes: ChosenEpisodes, again: Sequence
     return found
 
 
-def smallest_caught(episodes: int) -> float:
-    """Return the share of forged episodes that a look at this many at random finds with 95 % certainty."""
+def detectable_share(episodes: int) -> float:
+    """Return the share of forged episodes that a random sample of this size detects with 95 % probability."""
     return float(1 - 0.05 ** (1 / episodes))

@@ -1,4 +1,4 @@
-"""What a submission comes to: the figures of evaluate.py's tables, against the recorded anchors of its suite."""
+"""Computes the results of submissions for tables, with the recorded anchors of their suite."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.submission.files import Submission
 from baselines.evaluation.suites import Suite
 
-_MARK = "entry "  # before the names of entries, which may be those of policies
+_PREFIX = "entry "  # prefix of the names of entries, which can be the same as names of policies
 
 
 def anchor_errors(suite: Suite) -> tuple[Run, ...]:
-    """Return the recorded runs of a suite's anchors, the score's 0 and 1.
+    """Return the recorded runs of the two anchors of a suite.
 
     Raises:
-        ValueError: there are none that count; the message says why.
+        ValueError: they are missing or outdated; the message has the reason.
     """
     found = recorded.load_recorded(suite)
     for policy in suite.anchors:
         if all(run.policy != policy for run in found.runs):
             reason = recorded.missing(suite.name) or found.refused.get(policy, "there are none")
             raise ValueError(
-                f"the recorded rows of {policy} in {suite.name}, which scores need, do not count: {reason}"
+                f"scores need the recorded rows of {policy} in {suite.name}, which cannot be used: {reason}"
             )
     return tuple(run for run in found.runs if run.policy in suite.anchors)
 
 
 def entries(submissions: Sequence[Submission], ends: Sequence[Run]) -> list[Entry]:
-    """Return the figures of submissions of one suite, a regime at a time, the best first.
+    """Return the results of submissions of one suite, by speed range, the best first.
 
     Args:
-        submissions: with names of their own.
-        ends: runs of its anchors, see `anchor_errors`.
+        submissions: submissions with different names.
+        ends: runs of the suite's anchors, see `anchor_errors`.
     """
-    runs = [replace(run, policy=_MARK + s.name) for s in submissions for run in s.runs]
+    runs = [replace(run, policy=_PREFIX + s.name) for s in submissions for run in s.runs]
     anchors = submissions[0].suite.anchors
-    own = [e for e in pool([*ends, *runs], anchors) if e.policy.startswith(_MARK)]
-    named = [replace(entry, policy=entry.policy.removeprefix(_MARK), recorded=False) for entry in own]
+    own = [e for e in pool([*ends, *runs], anchors) if e.policy.startswith(_PREFIX)]
+    named = [replace(entry, policy=entry.policy.removeprefix(_PREFIX), recorded=False) for entry in own]
     places = dict.fromkeys(entry.place for entry in named)
     return [entry for place in places for entry in ranked([e for e in named if e.place == place])]

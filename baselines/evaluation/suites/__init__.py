@@ -1,13 +1,13 @@
-"""Frozen suites: a score means the same wherever and whenever it was measured.
+"""Frozen suites: files of fixed episodes, so that scores from different places and times are comparable.
 
-A file NAME.json.bz2 holds every episode's parameters and the seed of its noise. It is made once, by
-`python -m research suites build NAME`; SHA256SUMS has the hash of its text, and a file with another one is
-refused. It also holds a digest of what its episodes generate, some values of each reference and tape, so that a planner
-or a random stream that has changed is noticed: a sample is compared on every load, all of it by
-`python -m research suites check NAME`.
+The file NAME.json.bz2 has the parameters of every episode and the seed of its noise. It is made once, by
+`python -m research suites build NAME`. SHA256SUMS has the hash of its text; a file with another hash is refused. The
+file also has a digest: some values of the reference and of the exogenous inputs of each episode. It shows if the
+planner or a random stream has changed. Loading a suite compares a sample of these values, and
+`python -m research suites check NAME` compares all.
 
-A suite is episodes and the anchors of its score. One with other anchors for known episodes names their suite, with its
-hash, in place of them: what a policy did in one counts in both.
+A suite has episodes and the anchors of its score. A suite that differs from another one in the anchors only refers to
+the other suite by name and hash, instead of its own episodes. Results of a policy on one of them are valid for both.
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors, speed_range_of
 from baselines.tools.files import checked_plain
 
-SUITES_FOLDER = Path(__file__).parent  # of the files of the suites
-SUMS = "SHA256SUMS"  # file of the suites' hashes
-FORMAT = 1  # version of the files' layout
-_LARGEST = 2**22  # [bytes] that a file unpacks to
+SUITES_FOLDER = Path(__file__).parent  # folder of the files
+SUMS = "SHA256SUMS"  # file of the hashes
+FORMAT = 1  # version of the file format
+_LARGEST = 2**22  # [bytes] largest uncompressed size of a file
 
 
 class SuiteError(ValueError):
-    """A suite's file is missing, damaged or changed, or its episodes are no longer what they were."""
+    """A suite's file is missing, damaged or changed, or its episodes generate other values than when it was made."""
 
 
 @dataclass(frozen=True)
 class Suite:
-    """A frozen suite: cells in the order of its file."""
+    """A frozen suite with its cells in the order of the file."""
 
     name: str
     hash: str  # SHA-256 of its text
     cells: tuple[Cell, ...]
     digests: tuple[Array, ...]  # of each cell's episodes, shape (episodes, 8)
     anchors: Anchors = BY_ORACLE  # of the score
-    same_as: tuple[str, str] | None = None  # name and hash of the suite whose episodes these are; None: its own
+    same_as: tuple[str, str] | None = None  # name and hash of the suite with the same episodes; None: its own episodes
 
     @property
     def source(self) -> tuple[str, str]:
-        """Name and hash of the suite whose episodes these are, under which rows of them are kept."""
+        """Name and hash of the suite with the episodes, which are also those of recorded rows."""
         return self.same_as or (self.name, self.hash)
 
     def cells_in(self, speed_ranges: Collection[str | None]) -> list[Cell]:
-        """Return the cells of some regimes, in the order of the suite."""
+        """Return the cells of some speed ranges, in the order of the suite."""
         return [cell for cell in self.cells if speed_range_of(cell.scenario.name) in speed_ranges]
 
 
@@ -82,7 +82,7 @@ def _sums(folder: Path) -> dict[str, str]:
 
 
 def load_suite(name: str, folder: Path = SUITES_FOLDER) -> Suite:
-    """Return a suite once its hash is right and a sample of its episodes is what it was.
+    """Return a suite after checking its hash and a sample of its episodes.
 
     Raises:
         SuiteError: there is no such suite, its file has been changed, or the sample differs.
@@ -122,7 +122,7 @@ def _loaded(name: str, folder: Path) -> Suite:
 
 
 def save_suite(name: str, cells: Sequence[Cell], folder: Path = SUITES_FOLDER, anchors: Anchors = BY_ORACLE) -> str:
-    """Write a suite and its hash, which is returned."""
+    """Write a suite and its hash, and return the hash."""
     record: dict[str, Any] = {
         "suite": name,
         "format": FORMAT,
@@ -135,16 +135,16 @@ def save_suite(name: str, cells: Sequence[Cell], folder: Path = SUITES_FOLDER, a
             for cell in cells
         ],
     }
-    if anchors != BY_ORACLE:  # the oldest suites do not say theirs
+    if anchors != BY_ORACLE:  # the files of the oldest suites have no anchors
         record["anchors"] = anchors._asdict()
     return _written(name, record, folder)
 
 
 def save_shared(name: str, episodes_of: str, anchors: Anchors, folder: Path = SUITES_FOLDER) -> str:
-    """Write a suite that has the episodes of another one and anchors of its own, and its hash, which is returned.
+    """Write a suite with the episodes of another one and its own anchors, and its hash, and return the hash.
 
     Raises:
-        SuiteError: the other one cannot be read.
+        SuiteError: the other suite cannot be read.
     """
     source = {"suite": episodes_of, "hash": load_suite(episodes_of, folder).hash}
     record = {"suite": name, "format": FORMAT, "episodes_of": source, "anchors": anchors._asdict()}
@@ -161,26 +161,27 @@ def _written(name: str, record: Mapping[str, Any], folder: Path) -> str:
 
 
 def rounded(cell: Cell) -> Cell:
-    """Return the cell as its file will have it, every number of an episode rounded to 6 digits."""
+    """Return a cell as it is in a file, with all numbers of its episodes rounded to 6 significant digits."""
     records = [_episode_record(episode, cell.scenario) for episode in cell.episodes]
     return replace(cell, episodes=tuple(_episode(record, cell.scenario) for record in records))
 
 
 def digest(cell: Cell) -> Array:
-    """Return some values of what each episode generates, shape (episodes, 8).
+    """Return some values that each episode generates, shape (episodes, 8).
 
-    They are the reference's x, y, F_u, F_r at the end; V_x, the waves' sway force, the errors of x and r on the way.
+    They are x, y, F_u, F_r of the reference at the end of the episode, and V_x, the sway force of the waves and the
+    measurement errors of x and r after a third of it.
     """
     rows = samples(cell.scenario, cell.episodes)
-    end, way = rows[-1], rows[cell.scenario.steps // 3]
-    return np.stack((*end[[0, 1, 6, 7]], *way[[8, 11, 13, 18]]), axis=1)
+    end, third = rows[-1], rows[cell.scenario.steps // 3]
+    return np.stack((*end[[0, 1, 6, 7]], *third[[8, 11, 13, 18]]), axis=1)
 
 
 def check_cell(cell: Cell, recorded: Array) -> None:
-    """Compare what a cell's episodes generate with what they did, shape (episodes, 8).
+    """Compare the digest of a cell with the recorded one, shape (episodes, 8).
 
     Raises:
-        SuiteError: they differ by more than 1e-4 of the value and 1e-5.
+        SuiteError: they differ by more than 1e-4 of the value plus 1e-5.
     """
     now = digest(cell)
     differs = ~np.isclose(now, recorded, rtol=1e-4, atol=1e-5).all(axis=1)
@@ -188,13 +189,13 @@ def check_cell(cell: Cell, recorded: Array) -> None:
         i = int(np.argmax(differs))
         raise SuiteError(
             f"{differs.sum()} of {len(cell.episodes)} episodes of {cell.scenario.name} generate other values than when "
-            f"the suite was made, the first is episode {i}: {now[i].round(6).tolist()} "
+            f"the suite was made; the first is episode {i}: {now[i].round(6).tolist()} "
             f"instead of {recorded[i].tolist()}; the planner or a random stream has changed"
         )
 
 
 def _rounded(value: Any) -> Any:
-    """Return a value with its floats rounded to 6 significant digits, in lists and dicts too."""
+    """Return a value in which all floats, also those in lists and dicts, are rounded to 6 significant digits."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, Mapping):
@@ -203,22 +204,22 @@ def _rounded(value: Any) -> Any:
 
 
 def _episode_record(episode: Episode, scenario: Scenario) -> dict[str, Any]:
-    """Return an episode as a plain dict without what its scenario says already."""
+    """Return an episode as a plain dict, without the values that follow from its scenario."""
     family = next(name for name, cls in PATHS.items() if type(episode.path) is cls)
     record = to_record(episode) | {"path": {"family": family, **to_record(episode.path)}}
     if episode.vehicle == scenario.vehicle:
         del record["vehicle"]
-    return {key: value for key, value in _rounded(record).items() if key not in _NOTHING or value != _NOTHING[key]}
+    return {key: value for key, value in _rounded(record).items() if key not in _DEFAULTS or value != _DEFAULTS[key]}
 
 
-_NOTHING: dict[str, Any] = {"current": {}, "waves": None, "bias": [0.0] * 6, "lag": 0.0}
-"""What an episode without a disturbance has: entries that its record leaves out."""
+_DEFAULTS: dict[str, Any] = {"current": {}, "waves": None, "bias": [0.0] * 6, "lag": 0.0}
+"""Values of an episode without disturbances, which its record leaves out."""
 
 
 def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
     rest = dict(record["path"])
     path: Any = from_record(PATHS[rest.pop("family")], rest, "path")
-    values: dict[str, Any] = {**_NOTHING, **record, "path": path}
+    values: dict[str, Any] = {**_DEFAULTS, **record, "path": path}
     if "vehicle" not in record:
         values["vehicle"] = scenario.vehicle
     special = {
@@ -231,10 +232,10 @@ def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
 
 
 def _shared(record: Mapping[str, Any], text_hash: str, folder: Path) -> Suite:
-    """Return a suite that has the episodes of another one."""
+    """Return a suite with the episodes of another one."""
     source = load_suite(record["episodes_of"]["suite"], folder)
     if source.hash != record["episodes_of"]["hash"]:
-        raise SuiteError(f"{record['suite']} has the episodes of another {source.name}, of hash {source.hash[:12]}")
+        raise SuiteError(f"{record['suite']} refers to another {source.name}; this one has the hash {source.hash[:12]}")
     anchors = Anchors(**record["anchors"])
     return replace(source, name=record["suite"], hash=text_hash, anchors=anchors, same_as=source.source)
 

@@ -1,4 +1,4 @@
-"""What the anchors do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
+"""Recorded errors of the anchors in the cells of frozen suites, for the scores of validations.
 
 `python -m research suites anchor-errors NAME` measures and writes them.
 """
@@ -20,13 +20,13 @@ from baselines.evaluation.suites import SUITES_FOLDER, Suite
 from baselines.policies import make_policy
 from baselines.tools.files import json_text, read_json, write_atomically
 
-ANCHOR_ERRORS_FILE = SUITES_FOLDER / "anchor_errors.json"  # of all suites that have been measured
+ANCHOR_ERRORS_FILE = SUITES_FOLDER / "anchor_errors.json"  # errors of all measured suites
 
 
 class AnchorErrors(NamedTuple):
-    """Mean capped tail RMSE in a cell [m]; infinite where the anchor of 1 does not know how.
+    """Mean capped steady-state RMSE in a cell [m]; that of the oracle is infinite if it cannot run.
 
-    Validations are of the time before the bound: their 1 is the oracle's.
+    Validations are older than the full-information optimum, so their score of 1 is the oracle's.
     """
 
     expert_m: float
@@ -34,18 +34,18 @@ class AnchorErrors(NamedTuple):
 
 
 def measured_anchor_errors(cell: Cell, brief: bool = False) -> AnchorErrors:
-    """Return what the anchors do in a cell; where it is to be brief the oracle is left out: infinite."""
+    """Run the anchors in a cell and return their errors; with `brief` the oracle does not run."""
     one = math.inf if brief else float(np.mean(_capped_rmse(BY_ORACLE.one, cell)))
     return AnchorErrors(float(np.mean(_capped_rmse(BY_ORACLE.zero, cell))), one)
 
 
 def recorded_anchor_errors(cell: Cell) -> AnchorErrors | None:
-    """Return what the anchors do in a cell of a frozen suite, as it was measured; None for another cell."""
+    """Return the recorded errors of the anchors in a cell of a frozen suite; None for another cell."""
     return _kept(ANCHOR_ERRORS_FILE).get(cell.hash)
 
 
 def write_anchor_errors(suite: Suite, file: Path = ANCHOR_ERRORS_FILE) -> None:
-    """Measure the cells of a suite and write down what was found, in place of what was known of it.
+    """Measure the errors of the anchors in the cells of a suite, and write them in place of the old ones.
 
     Raises:
         OSError: the file cannot be written.
@@ -63,7 +63,7 @@ def _kept(file: Path) -> dict[str, AnchorErrors]:
 
 
 def _capped_rmse(name: str, cell: Cell) -> Array:
-    """Return the capped tails [m] of a policy; infinite where the anchor of 1 does not know how."""
+    """Return the capped steady-state RMSE [m] of an anchor in each episode; infinite if the oracle cannot run."""
     try:
         measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
     except (PolicyError, ValueError):

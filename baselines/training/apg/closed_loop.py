@@ -22,16 +22,16 @@ from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.policy import U_R, V_R, BySpeed, is_fast
 
-LINEAR_FROM = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
-SQUARE_WEIGHT = 0.3  # weight of the squared error, in units of its scale, in the parabola
-_TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
+LINEAR_FROM = 2.0  # error in units of its scale from which the loss is logarithmic
+SQUARE_WEIGHT = 0.3  # weight of the squared error, in units of its scale, below that
+_TINY = 1e-6  # added to the squared error in units of the squared scale, since its root has no derivative at zero
 
 _Rows = Sequence[Number]
-"""Components, each a number of every vehicle."""
+"""Components; each holds one number per vehicle."""
 
 
 class Loss(NamedTuple):
-    """Weights of the loss of a control step, for all vehicles or for each of them."""
+    """Weights of the loss of a control step; equal for all vehicles, or one number per vehicle."""
 
     effort: Number = 0.003  # of the squared command
     rate: Number = 0.003  # [s^2] of its squared rate of change
@@ -41,14 +41,14 @@ class Loss(NamedTuple):
     ) -> Number:
         """Return the loss of a step.
 
-        Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
-        vehicle that is lost neither outweighs all others nor ceases to be pulled back.
+        Near the reference it is e + 0.3 e^2 for an error of e scales. Far from it the loss is logarithmic: a diverged
+        vehicle does not outweigh all others, but its gradient is not zero.
 
         Args:
             squared_error: of the position [m^2].
             scale: of the error [m].
             command: surge and yaw, in [-1, 1].
-            previous: the ones before.
+            previous: the previous command.
             dt: control period [s].
             ns: the namespace of the numbers.
         """
@@ -62,30 +62,30 @@ class Loss(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """What a control step makes of the vehicles."""
+    """The vehicles after a control step."""
 
     state: tuple[Number, ...]  # the rows of a `simulation.Plant`
-    observation: tuple[Number, ...]  # its terms, encoded
+    observation: tuple[Number, ...]  # encoded terms
     squared_error: Number  # [m^2] of the position
     loss: Number
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Expert, features and vehicle around a network, which is not part of it.
+    """The closed loop without its network: expert, features and vehicle, for every namespace.
 
-    Between two control instants `move`, at each of them `expert` and then `features`; their numbers are of any kind.
+    At each control instant call `expert`, then `features`; then `move` for the step to the next instant.
     """
 
     law: Forces
     inputs: Inputs = STANDARD  # of the network
-    parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
-    informed: Backstepping | None = None  # the expert, where known models differ: its `law` for any of them
+    parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation
+    informed: Backstepping | None = None  # the expert, if the nominal models of the vehicles differ
 
     def expert(
         self, observation: _Rows, ns: Namespace, known: _Rows = PAPER_VEHICLE.coefficients
     ) -> tuple[Number, Number]:
-        """Return the law's action on an observation without its preview; `informed` takes the known models."""
+        """Return the law's action for an observation without its preview; `known` are the nominal models."""
         o = decode(observation, ns)
         law = with_model(self.informed, Coefficients._make(known)) if self.informed else self.law
         return action_of(law(o, ns), o, ns)
@@ -100,20 +100,20 @@ class ClosedLoop:
         ns: Namespace,
         known: _Rows = PAPER_VEHICLE.coefficients,
     ) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-        """Return what the network sees, and the integrals to hand in at the next control instant.
+        """Return the features and their new memory.
 
         Args:
             observation: without its preview.
             ahead: the preview of `inputs` in the world [m], x and y for each of its times.
             base: the expert's action.
-            correction: the last one.
-            integrals: of the features.
+            correction: the previous one.
+            integrals: memory of the features.
             ns: the namespace of the numbers.
-            known: the coefficients of the known model.
+            known: the coefficients of the nominal model.
         """
-        o, hull = Observation._make(decode(observation, ns)), Coefficients._make(known)
-        way = preview_columns(ahead, o, ns, self.parts.span)
-        return self.inputs.update(o, way, base, correction, integrals, ns, hull)
+        o = Observation._make(decode(observation, ns))
+        preview = preview_columns(ahead, o, ns, self.parts.span)
+        return self.inputs.update(o, preview, base, correction, integrals, ns, Coefficients._make(known))
 
     def move(
         self,
@@ -126,7 +126,7 @@ class ClosedLoop:
         loss: Loss,
         ns: Namespace,
     ) -> Moved:
-        """Return what a control step makes of the vehicles.
+        """Return the vehicles after a control step.
 
         Args:
             state: the rows of a `simulation.Plant`.
@@ -143,22 +143,22 @@ class ClosedLoop:
         command = [corrected(b, largest, c, ns) for b, largest, c in rule]
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
-        failed = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, failed)
+        step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
+        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, step_loss)
 
 
 def with_model(expert: Backstepping, known: Coefficients) -> Forces:
-    """Return the law of an expert with another known model, of any kind of numbers."""
+    """Return the law of an expert with another nominal model, whose numbers may be symbols."""
     law = copy.copy(expert)
-    law.vehicle = cast(Vehicle, known)  # whose fields it has
+    law.vehicle = cast(Vehicle, known)  # it has the same fields
     return law.forces
 
 
 def law_of(expert: Policy) -> tuple[Forces, bool]:
-    """Return an expert's law on components, and whether that is the expert itself.
+    """Return a law on components for the derivatives of an expert, and whether this law is the expert itself.
 
-    An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
-    extended Kalman filter from the same law on the measurements, every other from the paper's law.
+    The derivatives of an expert that only accepts NumPy arrays are approximated by those of a similar law. For a law
+    with an extended Kalman filter this is the law without the filter, for every other expert the paper's law.
     """
     if traceable(expert):
         return cast(Law, expert).forces, True

@@ -1,7 +1,7 @@
-"""The kernels of a window: a control step's two halves around the network, and the adjoint of each.
+"""The kernels of a window: the computations before and after the network in a control step, and their adjoints.
 
-An adjoint computes its step anew from what went into it, so that nothing inside a step is kept. Its arrays named d_...
-hold the derivatives of the window's loss by what the rest of the name says.
+An adjoint computes its step again from the inputs of the step, so that no intermediate values are stored. An array
+named d_X holds the derivatives of the window's loss with respect to X.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _Results = Mapping[str, _Symbols]
 
 
 class RunConstants(NamedTuple):
-    """What a run chooses, as rows of a kernel, so that one compiled library serves all runs."""
+    """Constants of a run. They are inputs of the kernels, so that all runs use the same compiled library."""
 
     authority_u: Number
     authority_r: Number
     effort: Number  # see `Loss`
     rate: Number
-    share: Number  # of a vehicle's control step in the window's loss
+    share: Number  # weight of a control step of a vehicle in the window's loss
 
 
 _SEEN = {"observation": SIZE, "correction": OUTPUTS}
-"""What the features are made of, rows by array, but for what is remembered, `ahead` and the expert's action."""
+"""Inputs of the features with their numbers of rows, without memory, `ahead` and the expert's action."""
 _STEERED = (*Observation._fields[:ERROR_TERMS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
 STEERED = tuple(map(Observation._fields.index, _STEERED))
-"""Terms of an observation that the vehicle's motion changes; the others are not differentiated by. The largest torque
-is among them: that of fins changes with the speed."""
+"""Terms of an observation that depend on the vehicle's motion; only these have derivatives. The largest torque is
+included, since that of fins depends on the speed."""
 MOVED = {
     "state": PLANT_ROWS,
     "base": OUTPUTS,
@@ -49,13 +49,13 @@ MOVED = {
     "parameters": PARAMETER_ROWS,
     "chosen": len(RunConstants._fields),
 }
-"""What a control step is made of, rows by array."""
+"""Inputs of a control step with their numbers of rows."""
 FIXED = frozenset(
     ("parameters", "chosen", "known", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
-"""Arrays that have no row for each step."""
+"""Arrays without a time axis."""
 KNOWN_ROWS = len(Coefficients._fields)
-"""Rows of the known model of each vehicle, where the network sees it: its `Coefficients`."""
+"""Number of rows of the nominal models, the `Coefficients` of each vehicle, if they are inputs of the network."""
 _PAPER = PAPER_VEHICLE.coefficients
 
 
@@ -65,7 +65,7 @@ class LoopKernels:
 
     Args:
         loop: the equations.
-        exact: whether `loop.law` is the expert; else its action is given, and the law has its slope alone.
+        exact: whether `loop.law` is the expert; else the action is an input, and the law only gives the derivatives.
         precision: "float32" or "float64".
     """
 
@@ -74,8 +74,8 @@ class LoopKernels:
     precision: str = "float32"
 
     @cached_property
-    def look(self) -> Kernel:
-        """observation, ahead, correction, integrals (and base, known where given) -> features, following, base."""
+    def observe(self) -> Kernel:
+        """observation, ahead, correction, integrals (and base, known if given) -> features, following, base."""
 
         def equation(
             observation: _Symbols,
@@ -93,7 +93,7 @@ class LoopKernels:
         return self._traced(equation, self._seen if self.exact else self._seen | {"base": OUTPUTS})
 
     @cached_property
-    def look_back(self) -> Kernel:
+    def observe_adjoint(self) -> Kernel:
         """d_features, d_base, d_integrals after -> d_observation, d_correction, d_integrals before."""
 
         def equation(
@@ -116,8 +116,8 @@ class LoopKernels:
                 len(seen), OUTPUTS, self.loop.inputs.memory, OUTPUTS,
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS, known or _PAPER)
-            through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
-            steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through), strict=True))
+            through_law = gradient(action, _sum(d_base, shares[3]), seen)
+            steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through_law), strict=True))
             return {
                 "d_observation": [steered.get(i, 0.0) for i in range(SIZE)],
                 "d_correction": shares[1],
@@ -142,7 +142,7 @@ class LoopKernels:
         return self._traced(equation, MOVED)
 
     @cached_property
-    def move_back(self) -> Kernel:
+    def move_adjoint(self) -> Kernel:
         """d_state, d_observation, d_correction after -> d_state, d_base, d_correction before."""
 
         def equation(
@@ -180,8 +180,8 @@ class LoopKernels:
     def _traced(self, equation: Equation, rows: Mapping[str, int]) -> Kernel:
         arrays = {*rows, "features", "following", "landed", "observation", "squared_error", "base"}
         over_time = sorted(arrays - FIXED)
-        wide = self.loop.inputs.filters and "ahead" in rows  # the filters' equations are long
-        return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True, blocked=wide)
+        long = self.loop.inputs.filters and "ahead" in rows  # the equations of the filters
+        return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True, blocked=long)
 
 
 def _sum(a: _Symbols, b: _Symbols) -> list[Symbol]:

@@ -1,7 +1,7 @@
-"""A network's way through a window, forward and back: matrix products by torch, step after step, written out by hand.
+"""Forward and backward pass of a network through a window, step by step, with matrix products of torch.
 
-Everything is laid out with the N vehicles last, as the kernels have it. The weights' gradients are products
-that are summed over all steps.
+The last axis of all arrays is that of the N vehicles, as in the kernels. The gradients of the weights are sums of
+products over all steps.
 """
 
 from __future__ import annotations
@@ -21,45 +21,45 @@ from baselines.training.apg.torch_network import TorchGru, TorchMlp
 _tanh_back = torch.ops.aten.tanh_backward.grad_input  # (d_y, y, grad_input=d_x) of y = tanh(x)
 
 
-class NetworkTape(NamedTuple):
-    """What a network reads and writes in a window of T steps."""
+class NetworkArrays(NamedTuple):
+    """Inputs and outputs of a network in a window of T steps."""
 
     inputs: Tensor  # shape (T, inputs, N)
     hidden: Tensor  # shape (T + 1, memory, N)
-    corrections: Tensor  # shape (T + 1, ACTIONS, N)
-    d_inputs: Tensor  # derivatives of the loss by the inputs of a step, shape (inputs, N)
-    d_correction: Tensor  # by what it made of them, shape (ACTIONS, N)
+    corrections: Tensor  # shape (T + 1, OUTPUTS, N)
+    d_inputs: Tensor  # derivatives of the loss with respect to the inputs of a step, shape (inputs, N)
+    d_correction: Tensor  # with respect to the correction of a step, shape (OUTPUTS, N)
 
 
 class Pass(Protocol):
-    """The steps of a window through a network."""
+    """Forward and backward pass of a network through a window."""
 
-    d_hidden: Tensor  # derivatives by the hidden state that the next step back begins with, shape (memory, N)
+    d_hidden: Tensor  # derivatives with respect to the hidden state of the current step, shape (memory, N)
 
     def begin(self) -> None:
-        """Take up the weights as they are now."""
+        """Read the current weights."""
 
     def forward(self, k: int) -> None:
         """Compute correction and hidden state k + 1 from inputs and hidden state k."""
 
     def backward(self, k: int) -> None:
-        """Compute the derivatives by the inputs of step k; steps are gone through from the last one to the first."""
+        """Compute the derivatives with respect to the inputs of step k; call it from the last step to the first."""
 
     def finish(self) -> None:
-        """Set the gradients of the weights, those of the whole window."""
+        """Set the gradients of the weights, summed over the window."""
 
 
-def pass_of(network: TorchGru | TorchMlp, tape: NetworkTape) -> Pass:
-    """Return the way through a network, which may change its weights in place between windows."""
-    return GruPass(network, tape) if isinstance(network, TorchGru) else MlpPass(network, tape)
+def pass_of(network: TorchGru | TorchMlp, arrays: NetworkArrays) -> Pass:
+    """Return the passes of a network; its weights may change in place between windows."""
+    return GruPass(network, arrays) if isinstance(network, TorchGru) else MlpPass(network, arrays)
 
 
 @cache
 def gates_back(precision: str) -> Kernel:
-    """Return the adjoint of gated recurrent units, h' = n + z (h - n), on rows of all units of all vehicles.
+    """Return the adjoint kernel of gated recurrent units, h' = n + z (h - n).
 
-    `gates` are r, z, n and m: reset and update gate, the candidate n = tanh(i + r m), and m itself; `d_gates` are the
-    derivatives by what goes into the sigmoids of r and z, by i, and by m.
+    `gates` are r, z, n and m: reset gate, update gate, candidate n = tanh(i + r m), and m. `d_gates` are the
+    derivatives with respect to the arguments of the sigmoids of r and z, to i, and to m.
     """
 
     def equation(gates: list[Symbol], hidden: list[Symbol], d_hidden: list[Symbol]) -> dict[str, list[Symbol]]:
@@ -74,15 +74,22 @@ def gates_back(precision: str) -> Kernel:
 
 
 class Layer:
-    """A linear layer and its tanh, y = tanh(W x + b), at each step."""
+    """A linear layer with tanh, y = tanh(W x + b), at each step.
+
+    Args:
+        layer: weights and bias.
+        x: inputs, shape (T, inputs, N).
+        y: outputs, shape (T, outputs, N).
+        d_x: output for the derivatives with respect to the inputs of a step, shape (inputs, N).
+    """
 
     def __init__(self, layer: nn.Linear, x: Tensor, y: Tensor, d_x: Tensor | None = None) -> None:
-        """Take inputs (T, inputs, N), outputs (T, outputs, N) and where the derivatives by a step's inputs go."""
         self._layer, self._x, self.d_x = layer, x, torch.empty_like(x[0]) if d_x is None else d_x
         self.d_y = torch.empty_like(y[0])
-        self.d_sums = torch.empty_like(y)  # derivatives by W x + b
+        self.d_sums = torch.empty_like(y)  # derivatives with respect to W x + b
         self._weight, self._bias = layer.weight.detach(), layer.bias.detach()[:, None]
-        self._turned, self._xs, self._ys, self._ds = self._weight.t(), x.unbind(), y.unbind(), self.d_sums.unbind()
+        self._transposed, self._xs, self._ys = self._weight.t(), x.unbind(), y.unbind()
+        self._ds = self.d_sums.unbind()
 
     def forward(self, k: int) -> None:
         """Compute y of step k."""
@@ -94,7 +101,7 @@ class Layer:
 
     def through(self, k: int) -> Tensor:
         """Return `d_x` of step k, after `backward`."""
-        return torch.mm(self._turned, self._ds[k], out=self.d_x)
+        return torch.mm(self._transposed, self._ds[k], out=self.d_x)
 
     def finish(self) -> None:
         """Set the gradients of W and b."""
@@ -105,25 +112,25 @@ class Layer:
 class GruPass:
     """A `Pass` through a `TorchGru`."""
 
-    def __init__(self, network: TorchGru, tape: NetworkTape) -> None:
-        (steps, _, n), sizes = tape.inputs.shape, network.sizes
+    def __init__(self, network: TorchGru, arrays: NetworkArrays) -> None:
+        (steps, _, n), sizes = arrays.inputs.shape, network.sizes
         encoded, decoded, gates, self._d_gates = (
-            tape.inputs.new_empty(steps, rows, n)
+            arrays.inputs.new_empty(steps, rows, n)
             for rows in (sizes.encoder, sizes.decoder, 4 * sizes.hidden, 4 * sizes.hidden)
         )
-        self._gru, self._units, self._encoded, self._hidden = network.gru, sizes.hidden, encoded, tape.hidden
-        self.d_hidden = tape.inputs.new_empty(sizes.hidden, n)
-        self._d_correction = tape.d_correction
-        self._encoder = Layer(network.encoder, tape.inputs, encoded, tape.d_inputs)
-        self._decoder = Layer(network.decoder, tape.hidden[1:], decoded)
-        self._head = Layer(network.head, decoded, tape.corrections[1:])
+        self._gru, self._units, self._encoded, self._hidden = network.gru, sizes.hidden, encoded, arrays.hidden
+        self.d_hidden = arrays.inputs.new_empty(sizes.hidden, n)
+        self._d_correction = arrays.d_correction
+        self._encoder = Layer(network.encoder, arrays.inputs, encoded, arrays.d_inputs)
+        self._decoder = Layer(network.decoder, arrays.hidden[1:], decoded)
+        self._head = Layer(network.head, decoded, arrays.corrections[1:])
         self._forward = [
-            (*rows, *_parts(g)) for *rows, g in zip(encoded, tape.hidden[:-1], tape.hidden[1:], gates, strict=True)
+            (*rows, *_parts(g)) for *rows, g in zip(encoded, arrays.hidden[:-1], arrays.hidden[1:], gates, strict=True)
         ]
         self._backward = [_parts(g) for g in self._d_gates]
         self._gates_back = gates_back(str(gates.dtype).removeprefix("torch.")).bound(
             gates=gates.view(steps, 4, -1).numpy(),
-            hidden=tape.hidden[:-1].view(steps, 1, -1).numpy(),
+            hidden=arrays.hidden[:-1].view(steps, 1, -1).numpy(),
             d_gates=self._d_gates.view(steps, 4, -1).numpy(),
             d_hidden=self.d_hidden.view(1, -1).numpy(),
         )
@@ -178,13 +185,13 @@ class GruPass:
 class MlpPass:
     """A `Pass` through a `TorchMlp`."""
 
-    def __init__(self, network: TorchMlp, tape: NetworkTape) -> None:
-        self._d_correction, (steps, _, n) = tape.d_correction, tape.inputs.shape
-        self.d_hidden = tape.inputs.new_empty(0, n)
-        wide = [tape.inputs.new_empty(steps, size, n) for size in network.sizes.layers]
-        values = (tape.inputs, *wide, tape.corrections[1:])
+    def __init__(self, network: TorchMlp, arrays: NetworkArrays) -> None:
+        self._d_correction, (steps, _, n) = arrays.d_correction, arrays.inputs.shape
+        self.d_hidden = arrays.inputs.new_empty(0, n)
+        wide = [arrays.inputs.new_empty(steps, size, n) for size in network.sizes.layers]
+        values = (arrays.inputs, *wide, arrays.corrections[1:])
         self._layers = [
-            Layer(cast(nn.Linear, layer), x, y, None if i else tape.d_inputs)
+            Layer(cast(nn.Linear, layer), x, y, None if i else arrays.d_inputs)
             for i, (layer, (x, y)) in enumerate(zip(network.layers, itertools.pairwise(values), strict=True))
         ]
 
@@ -210,7 +217,7 @@ class MlpPass:
 
 
 def _parts(gates: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-    """Return of the rows of r, z, n and m: the first three, the first two, and each."""
+    """Return views of the gates r, z, n, m: the first three together, the first two together, and each of the four."""
     *three, last = gates.chunk(4)
     return gates[: -len(last)], gates[: 2 * len(last)], [*three, last]
 

@@ -1,6 +1,6 @@
-"""The networks of `baselines.agents.networks` as torch modules, for training; their weights are named alike.
+"""The networks of `baselines.agents.networks` as torch modules for training; the weights have the same names.
 
-The modules hold the weights; `passes` has the way through them.
+The modules only hold the weights; `passes` has the forward and backward pass.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from torch import nn
 from baselines.agents.networks import OUTPUTS, Gru, Mlp
 
 LONGEST_MEMORY = 200.0
-"""Control steps that the slowest units of an untrained network remember."""
+"""Longest time constant of the units of an untrained network, in control steps."""
 
 
 class TorchGru(nn.Module):
-    """A tanh layer, gated recurrent units, a tanh layer and a linear head whose weights begin at zero.
+    """A tanh layer, gated recurrent units, a tanh layer and a linear head with zero initial weights.
 
-    Before it has learned anything its actions are zero, so it begins as good as its expert.
+    The initial corrections are zero, so a training starts with the performance of the expert.
     """
 
     def __init__(self, sizes: Gru) -> None:
@@ -34,14 +34,14 @@ class TorchGru(nn.Module):
         self.head = nn.Linear(sizes.decoder, OUTPUTS)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
-        # Forgets over 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
+        # Time constants of 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
         with torch.no_grad():
             times = torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY)
             self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = times.log()
 
 
 class TorchMlp(nn.Module):
-    """Tanh layers and a linear head whose weights begin at zero: a network without memory."""
+    """Tanh layers and a linear head with zero initial weights: a network without memory."""
 
     def __init__(self, sizes: Mlp) -> None:
         super().__init__()
@@ -64,8 +64,8 @@ def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
 
 
 def put(weights: Mapping[str, NDArray[np.float32]], network: nn.Module) -> None:
-    """Give a network these weights, named as `weights_of` names them; inputs behind those they know begin at zero."""
-    for name, tensor in network.state_dict().items():  # which share their memory with the parameters
+    """Set the weights of a network, by the names of `weights_of`; weights of additional last inputs become zero."""
+    for name, tensor in network.state_dict().items():  # these tensors share their memory with the parameters
         given = torch.from_numpy(np.array(weights[name]))
         tensor.zero_()
         tensor[..., : given.shape[-1]] = given

@@ -1,7 +1,7 @@
-"""Analytic policy gradient: back-propagation through the simulator, a window of control steps at a time.
+"""Analytic policy gradient: back-propagation through the simulator, truncated to windows of control steps.
 
-The network corrects an expert. What it remembers is carried from window to window without the graph behind it, and the
-loss is the tracking error itself: no value function, no exploration, no reward.
+The network corrects an expert. Its memory is carried from window to window without derivatives. The loss is the
+tracking error itself; there is no value function, no exploration and no reward.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.beginning import loaded
 from baselines.training.run_folder import RunFolder, TrainingError
 
-LOGS = 200  # how often in a run its progress is logged
-PATIENCE = 50  # updates in a row that may be skipped for a gradient that is not finite
+LOGS = 200  # number of logged updates of a run
+PATIENCE = 50  # largest number of consecutive updates that are skipped because of a gradient that is not finite
 
 
 def train(run: RunFolder) -> Agent:
-    """Train an agent and return that of the best validation, or of the last one where vehicle models are drawn.
+    """Train an agent; return that of the best validation, or that of the last one if vehicle models are drawn.
 
     Raises:
         OSError: the run's folder cannot be written to.
-        TrainingError: the gradient is not finite any more.
+        TrainingError: too many consecutive gradients are not finite.
         ValueError: see `settings.check`.
     """
     with closing(Groups(run.config, check(run.config), run.processes)) as groups:
@@ -40,12 +40,11 @@ def train(run: RunFolder) -> Agent:
 
 
 class ApgTrainer:
-    """Network, optimisers and vehicles of a run; goes on from the run's checkpoint, if there is one."""
+    """Network, optimisers and vehicles of a run; it resumes from the run's checkpoint, if there is one."""
 
     def __init__(self, run: RunFolder, groups: Groups) -> None:
-        """Begin a run with these vehicles, or continue it."""
         self.run, self.groups, self.settings, config = run, groups, groups.settings, run.config
-        run.keeps_last = self.settings.draws_vehicles(config.vehicle)  # validations are of that vehicle alone
+        run.keeps_last = self.settings.draws_vehicles(config.vehicle)  # the validation has the paper's vehicle only
         torch.manual_seed(config.seed)
         self.network, self.total = torch_network(self.settings.network), self.settings.windows(config.timesteps)
         if config.origin:
@@ -58,12 +57,12 @@ class ApgTrainer:
         self._modules: dict[str, Any] = {"network": self.network, "averaged": self.averaged}
         self._modules |= {f"optimizer {i}": optimizer for i, optimizer in enumerate(self.optimizers)}
         self.updates = 0  # so far
-        self.skipped = 0  # updates in a row whose gradient was not finite
+        self.skipped = 0  # consecutive updates with a gradient that was not finite
         self._resume()
 
     @property
     def weights(self) -> Weights:
-        """The agent's weights: an average over the last updates."""
+        """The agent's weights: a moving average over the updates."""
         return weights_of(self.averaged.module)
 
     @property
@@ -72,7 +71,7 @@ class ApgTrainer:
         return self.updates * self.settings.n_envs * self.settings.n_steps
 
     def train(self) -> Agent:
-        """Go on to the end of the run and return the agent that is kept."""
+        """Train to the end of the run and return the selected agent."""
         if not self.updates:
             self.validate()
         while self.updates < self.total:
@@ -80,7 +79,7 @@ class ApgTrainer:
         return self.agent(self.run.weights)
 
     def update(self) -> None:
-        """Learn from one window, and log, validate and save where it is time to."""
+        """Train on one window; log, validate and save a checkpoint at their intervals."""
         learned = self.learn()
         self.updates += 1
         validates = self._due(self.settings.validations)
@@ -90,7 +89,7 @@ class ApgTrainer:
             self.validate()
 
     def validate(self) -> None:
-        """Measure the agent on the validation episodes, and save a checkpoint."""
+        """Validate the agent, and save a checkpoint."""
         self.run.validate(self.agent(self.weights), self.timesteps)
         self.save()
 
@@ -113,7 +112,7 @@ class ApgTrainer:
         )
 
     def _resume(self) -> None:
-        """Go on from the run's checkpoint, if there is one."""
+        """Restore the run's checkpoint, if there is one."""
         if (state := self.run.load_checkpoint()) is None:
             return
         with self.run.restoring():
@@ -124,7 +123,7 @@ class ApgTrainer:
             torch.set_rng_state(state["generator"])
 
     def learn(self) -> Mapping[str, float]:
-        """Follow the gradient of a window of all groups and return what is to be logged."""
+        """Take an optimiser step with the gradient of a window of all groups; return the values to log."""
         self._set_rates(self.updates / self.total)
         learned = self.groups.learn(weights_of(self.network))
         for name, p in self.network.named_parameters():
@@ -132,21 +131,21 @@ class ApgTrainer:
         return {"loss": learned.loss, "window_error_m": learned.error, "gradient_norm": self._follow()}
 
     def _due(self, times: int) -> bool:
-        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
+        """Return whether this update is one of `times` evenly spaced ones, of which the last is the end of the run."""
         return self.updates * times // self.total > (self.updates - 1) * times // self.total
 
     def _set_rates(self, progress: float) -> None:
-        """Set the learning rates of a share `progress` of the updates that follow the gradient."""
+        """Set the learning rates after a share `progress` of the run."""
         share = self.settings.share_at(progress)
         groups = [group for optimizer in self.optimizers for group in optimizer.param_groups]  # new ones after `resume`
         for group, rate in zip(groups, self._rates, strict=True):
             group["lr"] = rate * share
 
     def _follow(self) -> float:
-        """Take a step along the network's gradient, if it is finite, and return its norm.
+        """Take an optimiser step if the network's gradient is finite, and return its norm.
 
         Raises:
-            TrainingError: too many in a row were not finite.
+            TrainingError: too many consecutive gradients were not finite.
         """
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):

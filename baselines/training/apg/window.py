@@ -1,4 +1,4 @@
-"""A window of control steps: forward through vehicles and network, back to the gradient of the network's weights."""
+"""A window of control steps: forward pass through vehicles and network, backward pass for the gradient."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels, RunConstants
-from baselines.training.apg.passes import NetworkTape, pass_of
+from baselines.training.apg.passes import NetworkArrays, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
 Act = Callable[[int, AnyArray], AnyArray]
-"""What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (OUTPUTS, N)."""
+"""Returns the actions of an expert at step k for observations (SIZE, N), shape (OUTPUTS, N)."""
 
 
 SMALLEST = 0.002
-"""Mean error, in units of its scale, far below which errors count as equal where they are compared by ratios."""
-_LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
-_SHARE = RunConstants._fields.index("share")  # row of what a vehicle's loss counts for
+"""Added to mean errors, in units of their scale, in the weights of `evened`; it bounds the weights of small errors."""
+_LARGEST = 1000.0  # upper bound of mean errors in these weights
+_SHARE = RunConstants._fields.index("share")
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
-"""Derivatives that go from one control instant back to the one before."""
+"""Derivatives that the backward pass carries from one control instant to the previous one."""
 
 
 class Carried(NamedTuple):
-    """What goes from one control instant to the next: arrays whose last axis counts the N vehicles."""
+    """The state from one control instant to the next: arrays whose last axis is that of the N vehicles."""
 
     state: AnyArray  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
     observation: AnyArray  # shape (SIZE, N)
@@ -43,31 +43,31 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class Objective:
-    """What a window's gradient is that of."""
+    """The objective of a window."""
 
-    loss: Loss  # of a control step; its weights may be of each vehicle, shape (N,)
-    shares: AnyArray | None = None  # what each vehicle's loss counts for in their mean, shape (N,); None: alike
-    cut: float = 0.0  # medians over the vehicles that a vehicle's derivatives may reach going back; 0: anything
+    loss: Loss  # of a control step; its weights may have shape (N,)
+    shares: AnyArray | None = None  # weight of each vehicle in the mean loss, shape (N,); None: equal
+    cut: float = 0.0  # bound of a vehicle's derivatives in the backward pass, in medians over vehicles; 0: no bound
     evenness: float = 0.0  # see `evened`
 
     def of(self, vehicles: NDArray[np.int64]) -> Objective:
-        """Return that of some of the vehicles, whose shares stay what they are."""
+        """Return the objective of some of the vehicles, with the same shares."""
         if self.shares is None:
-            raise ValueError("it has no shares, so it is that of any vehicles")
+            raise ValueError("the objective has no shares, so it cannot be divided")
         loss = Loss(*(np.broadcast_to(weight, len(self.shares))[vehicles] for weight in self.loss))
         return replace(self, loss=loss, shares=self.shares[vehicles])
 
 
 class Window:
-    """T control steps of N vehicles, run again and again; it computes in the kernels' precision.
+    """T control steps of N vehicles in the precision of the kernels; `run` can be called repeatedly.
 
     Args:
         kernels: of the closed loop.
-        network: what corrects the expert; its weights may change in place between windows.
+        network: corrects the expert; its weights may change in place between windows.
         n: N, the number of vehicles.
         steps: T.
         authority: largest corrections of surge and yaw.
-        objective: of what the gradient is.
+        objective: of the gradient.
     """
 
     def __init__(
@@ -106,14 +106,14 @@ class Window:
         }
         tensors = (self._features, self._carried.hidden, self._carried.correction)
         derivatives = (self._d["d_features"], self._d["d_correction"])
-        self._pass = pass_of(network, NetworkTape(*map(torch.from_numpy, (*tensors, *derivatives))))
+        self._pass = pass_of(network, NetworkArrays(*map(torch.from_numpy, (*tensors, *derivatives))))
         self._bind(kernels)
 
     def _zeros(self, *shape: int) -> AnyArray:
         return np.zeros(shape, dtype=self._type)
 
     def _bind(self, kernels: LoopKernels) -> None:
-        """Bind the kernels to the arrays that they read and write."""
+        """Bind the kernels to their arrays."""
         before, after = (Carried(*(x[part] for x in self._carried)) for part in (slice(-1), slice(1, None)))
         seen = {
             "observation": before.observation,
@@ -132,14 +132,14 @@ class Window:
             "chosen": self._chosen,
         }
         d = self._d
-        self._look = kernels.look.bound(**seen, features=self._features, following=after.integrals)
+        self._observe = kernels.observe.bound(**seen, features=self._features, following=after.integrals)
         self._move = kernels.move.bound(
             **moved, landed=after.state, observation=after.observation, squared_error=self._squared
         )
-        by_look = {name: d[name] for name in d if name != "d_state"}
-        by_move = {name: d[name] for name in ("d_state", "d_observation", "d_correction", "d_base")}
-        self._look_back = kernels.look_back.bound(**seen, **by_look)
-        self._move_back = kernels.move_back.bound(**moved, **by_move)
+        d_observe = {name: d[name] for name in d if name != "d_state"}
+        d_move = {name: d[name] for name in ("d_state", "d_observation", "d_correction", "d_base")}
+        self._observe_adjoint = kernels.observe_adjoint.bound(**seen, **d_observe)
+        self._move_adjoint = kernels.move_adjoint.bound(**moved, **d_move)
 
     def run(
         self,
@@ -150,19 +150,19 @@ class Window:
         act: Act | None = None,
         known: AnyArray | None = None,
     ) -> tuple[float, float, Carried, AnyArray]:
-        """Run the window and set the gradients of the network's weights, those of the `objective`.
+        """Run the window and set the gradients of the objective with respect to the network's weights.
 
         Args:
-            carried: from the window before; nothing is differentiated beyond it.
+            carried: state at the start of the window; the backward pass ends here.
             ahead: the preview of the network's inputs in the world [m], shape (T, 2 P, N).
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
-            act: the expert, if it does not compute in the kernels.
-            known: the known models of the vehicles, shape (KNOWN_ROWS, N), if the network sees them.
+            act: the expert, if it is not in the kernels.
+            known: the nominal models of the vehicles, shape (KNOWN_ROWS, N), if they are inputs of the network.
 
         Returns:
-            The mean loss, without `evenness`, the mean position error [m], what is carried on, which the next run
-            overwrites, and the squared position error [m^2] at the end, shape (N,).
+            The mean loss, without `evenness`, the mean position error [m], the state at the end of the window, which
+            the next run overwrites, and the squared position error [m^2] there, shape (N,).
         """
         for mine, given in zip(self._carried, carried, strict=True):
             mine[0] = given
@@ -174,7 +174,7 @@ class Window:
             if evenness := self.objective.evenness:
                 self._chosen[_SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
             self._backward()
-        with np.errstate(all="ignore"):  # of vehicles that are lost altogether
+        with np.errstate(all="ignore"):  # errors of diverged vehicles may overflow
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
 
@@ -183,7 +183,7 @@ class Window:
         for k in range(self.steps):
             if act:
                 self._base[k] = act(k, self._carried.observation[k])
-            self._look(k, 1)
+            self._observe(k, 1)
             self._pass.forward(k)
             self._move(k, 1)
 
@@ -191,15 +191,15 @@ class Window:
         for derivative in self._d.values():
             derivative.fill(0.0)
         for k in reversed(range(self.steps)):
-            self._move_back(k, 1)
+            self._move_adjoint(k, 1)
             self._pass.backward(k)
-            self._look_back(k, 1)
+            self._observe_adjoint(k, 1)
             if cut := self.objective.cut:
                 self._bound(cut)
         self._pass.finish()
 
     def _bound(self, cut: float) -> None:
-        """Shorten the derivatives of vehicles in chaos, all of one vehicle alike; what is no number counts nothing."""
+        """Scale the derivatives of each vehicle down to `cut` medians over vehicles; set non-finite ones to zero."""
         carried = (*(self._d[name] for name in CARRIED), self._pass.d_hidden.numpy())
         with np.errstate(all="ignore"):
             size = np.sqrt(sum(np.einsum("ij,ij->j", d, d) for d in carried))
@@ -207,7 +207,7 @@ class Window:
             for d in carried if (share < 1).any() else ():
                 np.multiply(d, share, out=d)
             for d in carried if not share.all() else ():
-                d[:, share == 0] = 0.0  # nothing times what is no number is none
+                d[:, share == 0] = 0.0  # since 0 times nan is nan
 
     def _errors(self) -> AnyArray:
         """Return each vehicle's mean position error in the window, in units of its scale."""
@@ -223,13 +223,13 @@ class Window:
 
 
 def evened(shares: AnyArray, errors: AnyArray, evenness: float) -> AnyArray:
-    """Return shares of the same sum in which vehicles with small errors count for more; what is no number for nothing.
+    """Return shares with the same sum, divided by errors_i^evenness; a vehicle with a non-finite error has share 0.
 
-    The loss of vehicle i counts for what it did over errors_i^evenness. With 0 errors count as they are, as in a mean;
-    with 1 as ratios, as in a geometric mean: halving one of a millimetre is worth as much as halving one of a metre.
+    With evenness 0 the shares do not change, and the objective is a mean of errors. With evenness 1 its gradient is
+    that of a mean of logarithms: halving an error of a millimetre counts as much as halving an error of a metre.
 
     Args:
-        shares: what vehicles count for, shape (N,).
+        shares: weights of the vehicles, shape (N,).
         errors: of the vehicles, in units of their scales, shape (N,).
         evenness: 0 ... 1.
     """

@@ -1,8 +1,8 @@
-"""Hyper-parameters in rl_zoo3's YAML format: a table for each environment id.
+"""Read hyper-parameters in the YAML format of rl_zoo3: a table for each environment id.
 
-`n_timesteps` and, of `env_kwargs`, `expert` and `authority` are defaults of the command line's options. The rest is
-what the algorithm gets. YAML reads 3e-4 as a word; write 0.0003 or !!float 3e-4. rl_zoo3's own reader belongs to its
-experiment manager, which evaluates strings as Python and needs Optuna and more.
+`n_timesteps`, and `expert` and `authority` in `env_kwargs`, are defaults of command line options. The other entries are
+hyper-parameters of the algorithm. YAML reads 3e-4 as a string; write 0.0003 or !!float 3e-4. The reader of rl_zoo3 is
+not used: it evaluates strings as Python code and requires Optuna.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from baselines.tools.files import parse_yaml, read_yaml
 _FOLDER = Path(__file__).parent
 TRAINED_ENV = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
 FINE_TUNING_FILE_NAME = "fine-tuning"
-"""The key of what is other than in an agent's own training, where a training begins with that agent."""
+"""The key of the hyper-parameters that differ from those of an agent's own training, if it is trained further."""
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What a file says about an environment."""
+    """The hyper-parameters of a file for an environment."""
 
-    values: Mapping[str, Any]  # for the algorithm
+    values: Mapping[str, Any]  # of the algorithm
     timesteps: int | None
     expert: str | None
     authority: tuple[float, ...] | None
@@ -41,7 +41,7 @@ def load_hyperparameters(file: Path, key: str = TRAINED_ENV) -> Hyperparameters:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no such file.
+        ValueError: the file has another format.
     """
     tables = read_yaml(file)
     table = tables.get(key) if isinstance(tables, Mapping) else None
@@ -62,10 +62,10 @@ def load_hyperparameters(file: Path, key: str = TRAINED_ENV) -> Hyperparameters:
 
 
 def changes_of(words: Sequence[str]) -> dict[str, Any]:
-    """Return the hyper-parameters that words NAME=VALUE give; values are YAML, or numbers such as 3e-4.
+    """Return the hyper-parameters of words NAME=VALUE, where a value is YAML, or a number such as 3e-4.
 
     Raises:
-        ValueError: a word is of another form.
+        ValueError: a word has another form.
     """
     changes = {}
     for word in words:
@@ -75,7 +75,7 @@ def changes_of(words: Sequence[str]) -> dict[str, Any]:
         except ValueError:
             value = None
         if not name or value is None:
-            raise ValueError(f"--set {word!r} sets nothing; it must be NAME=VALUE, such as effort_weight=0.1")
+            raise ValueError(f"--set is {word!r}; it must be NAME=VALUE, such as effort_weight=0.1")
         if isinstance(value, str):
             with suppress(ValueError):
                 value = float(value)
@@ -89,5 +89,5 @@ def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
 
 
 def shipped(algo: str) -> Path:
-    """Return the file of an algorithm; TQC learns well with what SAC learns with."""
+    """Return the file of an algorithm; TQC has the hyper-parameters of SAC."""
     return _FOLDER / f"{'sac' if algo == 'tqc' else algo}.yml"

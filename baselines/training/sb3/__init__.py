@@ -1,1 +1,1 @@
-"""Stable-Baselines3's algorithms on the native vector environment."""
+"""Train with Stable-Baselines3 on the vector environment of the package."""

@@ -1,4 +1,4 @@
-"""How a correction of an expert is learned without destroying it first: callbacks that rl_zoo3 takes by name too."""
+"""Callbacks for training a correction of an expert; rl_zoo3 can use them by name."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from torch import nn
 
 
 class ZeroCorrection(BaseCallback):
-    """Makes the untrained actor's correction zero, so that training starts at the expert.
+    """Sets the untrained actor's correction to zero, so that training starts with the performance of the expert.
 
     Args:
-        std: standard deviation of the first corrections, before they are bounded, or with `use_sde` of each unit's
-            share in them; None leaves it as it is. TD3's actor has none, its noise comes from outside.
+        std: initial standard deviation of the corrections before they are bounded, or with `use_sde` of each unit's
+            contribution; None does not change it. TD3's actor has none; its noise is added separately.
     """
 
     def __init__(self, std: float | None = None) -> None:
@@ -47,7 +47,7 @@ class ZeroCorrection(BaseCallback):
 
 
 def last_layers(actor: Any) -> list[nn.Linear]:
-    """Return the layer that an actor's mean action comes from, in a list; none if it has none of its own."""
+    """Return a list with the layer whose output is the actor's mean action; empty if there is no such layer."""
     if isinstance(getattr(actor, "action_net", None), nn.Linear):  # PPO's policy
         return [actor.action_net]
     mean = getattr(actor, "mu", None)  # a layer in SAC's and TQC's actor, the whole network in TD3's
@@ -57,10 +57,10 @@ def last_layers(actor: Any) -> list[nn.Linear]:
 
 
 class FrozenActor(BaseCallback):
-    """Keeps the actor of SAC, TQC or TD3 as it is until the critic has learned what the expert's actions are worth.
+    """Freezes the actor of SAC, TQC or TD3 until the critic has learned the values of the expert's actions.
 
     Args:
-        steps: control steps, summed over vehicles, for which it is kept.
+        steps: control steps, summed over vehicles, for which it is frozen.
     """
 
     def __init__(self, steps: int) -> None:

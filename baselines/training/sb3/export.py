@@ -1,4 +1,4 @@
-"""The deterministic actor of a Stable-Baselines3 model as an agent that runs on NumPy."""
+"""Convert the deterministic actor of a Stable-Baselines3 model to an agent that runs on NumPy."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _ACTIVATIONS: dict[type, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def exported_network(policy: Any, config: Config) -> Agent:
-    """Return the agent of a policy network of PPO, recurrent PPO, SAC, TQC, TD3 or ARS, and of others built alike.
+    """Return the agent of a policy network of PPO, recurrent PPO, SAC, TQC, TD3 or ARS, or of similar ones.
 
     Raises:
-        ValueError: its actor is no chain of linear layers with tanh or ReLU between them, as CrossQ's is none, perhaps
-            behind one layer of long short-term memory.
+        ValueError: the actor has other layers than linear ones with tanh or ReLU between them, after at most one layer
+            of long short-term memory; CrossQ has others.
     """
     chain, bound = _actor(policy)
     linear = [layer for layer in chain if isinstance(layer, nn.Linear)]
     between = {_ACTIVATIONS.get(type(layer)) for layer in chain if not isinstance(layer, nn.Linear)} or {"tanh"}
     if not linear or len(between) != 1 or None in between or len(chain) != 2 * len(linear) - 1:
         raise ValueError(
-            "the actor is no chain of linear layers with tanh or ReLU between them, which is all that an agent can be; "
-            "with use_sde set clip_mean to 0 in policy_kwargs"
+            "the actor must consist of linear layers with tanh or ReLU between them; with use_sde set clip_mean to 0 "
+            "in policy_kwargs"
         )
     sizes, activation = tuple(layer.out_features for layer in linear[:-1]), str(between.pop())
     weights: dict[str, NDArray[Any]] = {}
@@ -40,15 +40,15 @@ def exported_network(policy: Any, config: Config) -> Agent:
         network: Lstm | Mlp = Mlp(linear[0].in_features, sizes, activation, bound)
     else:
         network = Lstm(memory.input_size, memory.hidden_size, sizes, activation, bound)
-        weights |= _remembering(memory)
+        weights |= _lstm_weights(memory)
     return Agent(network, weights, config.expert, config.authority, config.names)
 
 
-def _remembering(memory: nn.LSTM) -> dict[str, NDArray[Any]]:
-    """Return the weights of long short-term memory; of its two biases the sum acts.
+def _lstm_weights(memory: nn.LSTM) -> dict[str, NDArray[Any]]:
+    """Return the weights of a long short-term memory, with the sum of its two biases.
 
     Raises:
-        ValueError: it is of several layers, or of a form that `networks.Lstm` is not.
+        ValueError: it has several layers, or another form than `networks.Lstm`.
     """
     if memory.num_layers != 1 or not memory.bias or memory.bidirectional or memory.proj_size:
         raise ValueError("the actor's memory must be one layer: set n_lstm_layers to 1, and leave out lstm_kwargs")
@@ -62,7 +62,7 @@ def _array(value: Tensor) -> NDArray[Any]:
 
 
 def _actor(policy: Any) -> tuple[list[nn.Module], str]:
-    """Return the layers from the features to the mean action, and what bounds that, see `networks._BOUNDS`."""
+    """Return the layers from the features to the mean action, and the name of its bound, see `networks._BOUNDS`."""
     if hasattr(policy, "mlp_extractor"):  # PPO, recurrent or not
         return [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
     actor = getattr(policy, "actor", policy)

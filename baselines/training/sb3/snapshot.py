@@ -1,4 +1,4 @@
-"""All that a Stable-Baselines3 model needs to go on as if it had never stopped."""
+"""Save and restore the complete state of a Stable-Baselines3 model, so that a resumed training has the same result."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _KEPT = (
     "_last_episode_starts",
     "_last_lstm_states",
 )
-"""Attributes beside the parameters; each algorithm has some of them."""
+"""Attributes that are saved in addition to the parameters; each algorithm has some of them."""
 _DRAWN = ("exploration_mat", "exploration_matrices")
-"""What state-dependent exploration has drawn."""
+"""Random matrices of state-dependent exploration."""
 
 
 def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
-    """Return networks, optimisers, vehicles, replay buffer, counters and random generators, to be pickled at once."""
+    """Return networks, optimisers, vehicles, buffer, counters and random generators; pickle them immediately."""
     _, variables = model._get_torch_save_params()
     return {
         "timesteps": model.num_timesteps,
@@ -50,7 +50,7 @@ def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
 
 
 def restore(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    """Put a model of the same configuration where `snapshot` has left it."""
+    """Restore the state of `snapshot` in a model of the same configuration."""
     model.set_parameters(state["parameters"], exact_match=True, device="cpu")
     with torch.no_grad():
         for name, value in state["variables"].items():
@@ -69,14 +69,14 @@ def restore(model: BaseAlgorithm, state: dict[str, Any]) -> None:
 
 
 def restore_exploration(model: BaseAlgorithm, state: Mapping[str, Any]) -> None:
-    """Undo what a restored model has drawn anew as it began a rollout: state-dependent exploration, if it has any."""
+    """Restore the matrices of state-dependent exploration, which a resumed model draws again at its first rollout."""
     for noise in _noises(model):
         vars(noise).update(state["exploration"])
     torch.set_rng_state(state["torch"])
 
 
 def _noises(model: BaseAlgorithm) -> list[StateDependentNoiseDistribution]:
-    """Return the state-dependent exploration of a model in a list; none if it has none."""
+    """Return a list with the state-dependent exploration of a model; empty if it has none."""
     policy: Any = model.policy
     noise = getattr(getattr(policy, "actor", policy), "action_dist", None)
     return [noise] if isinstance(noise, StateDependentNoiseDistribution) else []
@@ -93,7 +93,7 @@ def _experience(model: BaseAlgorithm) -> dict[str, Any] | None:
 
 
 def _layers(env: VecEnv | None) -> Iterator[VecEnv]:
-    """Yield an environment's wrappers from the outside in, and then the environment itself."""
+    """Yield the wrappers of an environment from the outermost to the innermost, then the environment itself."""
     while isinstance(env, VecEnvWrapper):
         yield env
         env = env.venv
@@ -102,5 +102,5 @@ def _layers(env: VecEnv | None) -> Iterator[VecEnv]:
 
 
 def _own(layer: VecEnv) -> dict[str, Any]:
-    """Return a layer's own attributes; a wrapper also holds its class's, which cannot be pickled."""
+    """Return the attributes of a layer, without those of a wrapper that cannot be pickled."""
     return {name: value for name, value in vars(layer).items() if name not in ("venv", "class_attributes")}

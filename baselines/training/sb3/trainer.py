@@ -1,4 +1,4 @@
-"""Training with Stable-Baselines3: PPO, recurrent PPO, SAC, TD3 and TQC on the native vector environment."""
+"""Train with Stable-Baselines3: PPO, recurrent PPO, SAC, TD3 and TQC on the vector environment of the package."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ ALGORITHM_CLASSES: Mapping[str, type[BaseAlgorithm]] = {
     "td3": TD3,
     "tqc": TQC,
 }
-"""By algorithm, named as in rl_zoo3."""
+"""Class of each algorithm, by the names of rl_zoo3."""
 _POLICIES = {"ppo_lstm": "MlpLstmPolicy"}
-"""The policy of an algorithm, where it is not MlpPolicy."""
+"""Policy of each algorithm whose policy is not MlpPolicy."""
 _CALLBACKS: Mapping[str, type[BaseCallback]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
 }
@@ -59,7 +59,7 @@ _NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
     "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
 }
 _MOST_VEHICLES = 2**16
-LARGEST_WEIGHT = 1e6  # beyond that, and where a weight is no number at all, training has diverged
+LARGEST_WEIGHT = 1e6  # magnitude of a weight from which the training counts as diverged
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 
@@ -70,11 +70,11 @@ def check(config: Config) -> None:
 
 
 def train(run: RunFolder) -> Agent:
-    """Train as a run's configuration says, from its checkpoint if it has one; return the agent that validated best.
+    """Train an agent, from the run's checkpoint if it has one; return the agent of the best validation.
 
     Raises:
         OSError: the run's folder cannot be written to.
-        TrainingError: the networks' weights have diverged.
+        TrainingError: the weights have diverged.
     """
     config = run.config
     state = run.load_checkpoint()
@@ -87,8 +87,8 @@ def train(run: RunFolder) -> Agent:
     if rest > 0:
         try:
             model.learn(rest, callbacks, log_interval=None, reset_num_timesteps=state is None)  # type: ignore[arg-type]
-        except ValueError as error:  # torch refuses a distribution of numbers that are not finite
-            if sound(model):
+        except ValueError as error:  # torch rejects a distribution with parameters that are not finite
+            if is_bounded(model):
                 raise
             raise TrainingError(f"training diverged after {model.num_timesteps} steps: lower learning_rate") from error
     return replace(exported_network(model.policy, config), weights=run.weights)
@@ -123,15 +123,15 @@ def make_model(config: Config) -> BaseAlgorithm:
 
 
 def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFeatures:
-    """Return the vehicles that a configuration is trained on, as Stable-Baselines3 wants them.
+    """Return the training environment of a configuration as a `VecEnv`.
 
     Args:
         config: the configuration.
-        n_envs: how many.
-        wrappers: as rl_zoo3 names them, from the inside out; the features are always the last.
+        n_envs: number of sub-environments.
+        wrappers: in the format of rl_zoo3, the innermost first; `VecFeatures` is added if it is not the last one.
 
     Raises:
-        ValueError: there are too few vehicles, or a wrapper is unknown.
+        ValueError: there are too few sub-environments, or a wrapper is unknown.
     """
     check_integer("hyper-parameter n_envs", n_envs, 1, _MOST_VEHICLES)
     expert = config.make_expert()
@@ -139,7 +139,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
         "auv_gym:UnderactuatedAUVTrack-v0",
         num_envs=n_envs,
         vectorization_mode="vector_entry_point",
-        scenario=config.lanes(n_envs),
+        scenario=config.env_scenarios(n_envs),
         preview=preview_of(expert),
     )
     env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, expert, config.authority)))
@@ -149,7 +149,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
 
 
 def _schedule(name: str, value: Any) -> Any:
-    """Return a hyper-parameter as Stable-Baselines3 wants it: a number, or lin_NUMBER that falls to zero."""
+    """Return a hyper-parameter for Stable-Baselines3: a number, or for lin_NUMBER a linear decrease to zero."""
     if isinstance(value, str):
         try:
             start = float(value.removeprefix("lin_"))
@@ -162,7 +162,7 @@ def _schedule(name: str, value: Any) -> Any:
 
 
 def _noise(values: dict[str, Any]) -> ActionNoise | None:
-    """Take rl_zoo3's two entries about noise on the action out of the hyper-parameters; return the noise."""
+    """Remove `noise_type` and `noise_std` from the hyper-parameters and return the action noise; None if not set."""
     kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
     if kind is None:
         return None
@@ -173,21 +173,21 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
 
 
 def _callbacks(entries: Any) -> list[BaseCallback]:
-    """Return the callbacks that a configuration names. Training always starts at the expert, named or not."""
+    """Return the callbacks of a configuration; `ZeroCorrection` is added if it is not among them."""
     made = [make() for make in _named(entries, _CALLBACKS, "callback")]
     return made if any(isinstance(callback, ZeroCorrection) for callback in made) else [ZeroCorrection(), *made]
 
 
 def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> list[Callable[..., T]]:
-    """Return what makes the things that a configuration names in rl_zoo3's way: names, or tables of a name's arguments.
+    """Return the constructors of entries in the format of rl_zoo3: a name, or a table {name: arguments}.
 
     Args:
         entries: one or a list of them.
-        table: what may be named.
-        kind: the hyper-parameter's name.
+        table: allowed names and their constructors.
+        kind: name of the hyper-parameter.
 
     Raises:
-        ValueError: something else is named, or does not take these arguments.
+        ValueError: a name is unknown, or an argument is.
     """
     made: list[Callable[..., T]] = []
     for entry in entries if isinstance(entries, (list, tuple)) else [entries]:
@@ -202,11 +202,11 @@ def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> li
 
 
 class Tracker(BaseCallback):
-    """Logs and validates a model at the start, `VALIDATIONS` times a run and at the end; each time keeps a checkpoint.
+    """Logs and validates a model at the start, `VALIDATIONS` times a run and at the end, each time with a checkpoint.
 
     Args:
-        run: that is logged to.
-        state: the checkpoint that the model has been put back to, if any.
+        run: for log and checkpoints.
+        state: the checkpoint from which the model was restored, if any.
     """
 
     def __init__(self, run: RunFolder, state: Mapping[str, Any] | None = None) -> None:
@@ -221,7 +221,7 @@ class Tracker(BaseCallback):
     def _on_training_start(self) -> None:
         if self._resumed is None:
             self._validate()
-        else:  # the model has just begun its noise anew, and hands it to the first rollout before that starts
+        else:  # the model has just reset its noise, which the first rollout uses
             vars(self.model)["action_noise"] = self._resumed["action_noise"]
 
     def _on_rollout_start(self) -> None:
@@ -242,7 +242,7 @@ class Tracker(BaseCallback):
         return True
 
     def _validate(self) -> None:
-        if not sound(self.model):
+        if not is_bounded(self.model):
             raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
         self.run.log(self.num_timesteps, **self._learned())
         self.run.validate(exported_network(self.model.policy, self.run.config), self.num_timesteps)
@@ -250,7 +250,7 @@ class Tracker(BaseCallback):
         self.run.save_checkpoint(snapshot(self.model))
 
     def _learned(self) -> dict[str, float]:
-        """Return what the algorithm has logged since the last time, and the mean return of the latest episodes."""
+        """Return the values that the algorithm has logged since the last call, and the mean return of the episodes."""
         values = {k: float(v) for k, v in self.logger.name_to_value.items() if isinstance(v, (int, float, np.number))}
         self.logger.dump()
         if self.model.ep_info_buffer:
@@ -258,6 +258,6 @@ class Tracker(BaseCallback):
         return values
 
 
-def sound(model: BaseAlgorithm) -> bool:
-    """Return whether all weights of a model are numbers that it can go on with."""
+def is_bounded(model: BaseAlgorithm) -> bool:
+    """Return whether all weights of a model are smaller than `LARGEST_WEIGHT`."""
     return all(bool((p.abs() < LARGEST_WEIGHT).all()) for p in model.policy.parameters())

@@ -1,4 +1,4 @@
-"""The vector environment as a Stable-Baselines3 `VecEnv`: the one adapter that neither library has."""
+"""Adapter from the vector environment to `VecEnv` of Stable-Baselines3, which neither library provides."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 
 
 class SB3VecEnv(VecEnv):
-    """A vector environment with SAME_STEP autoreset, as Stable-Baselines3 wants it.
+    """A vector environment with SAME_STEP autoreset as a `VecEnv` of Stable-Baselines3.
 
-    Give it to an algorithm in place of a `DummyVecEnv`; wrap it in `VecMonitor` for episode statistics. The
-    sub-environments are no objects: attributes and methods are those of the vector environment, the same for each.
+    Use it instead of a `DummyVecEnv`; wrap it in `VecMonitor` for episode statistics. There are no objects of the
+    sub-environments: attributes and methods are those of the vector environment, the same for each.
 
     Args:
         env: from `gym.make_vec(..., vectorization_mode="vector_entry_point")` with the NumPy back end.
@@ -26,7 +26,7 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """Start an episode everywhere, with the seeds and options set since the last reset; return the observations."""
+        """Reset all sub-environments with the seeds and options set since the last reset; return the observations."""
         options = self._options[0]
         if any(o != options for o in self._options):
             raise ValueError("the options differ between sub-environments; set the same for all")
@@ -38,7 +38,7 @@ class SB3VecEnv(VecEnv):
         return np.asarray(observation)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -73,7 +73,7 @@ class SB3VecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the vector environment; one value serves all sub-environments."""
         if len(list(self._get_indices(indices))) != self.num_envs:
-            raise ValueError("an attribute belongs to all sub-environments at once; leave out the indices")
+            raise ValueError("an attribute can only be set for all sub-environments; leave out the indices")
         setattr(self.env if hasattr(self.env, attr_name) else self.env.unwrapped, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""What a trained policy sees, as a wrapper of Stable-Baselines3's vector environments; rl_zoo3 takes it by name."""
+"""The features of a network as a `VecEnvWrapper` of Stable-Baselines3; rl_zoo3 can use it by name."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from baselines.agents.networks import OUTPUTS
 
 
 class VecFeatures(VecEnvWrapper):
-    """Observations become `baselines.agents.features.FEATURES`, whose memory begins anew with every episode.
+    """Converts observations to `baselines.agents.features.FEATURES`; their memory is reset with every episode.
 
-    At the end of an episode `terminal_observation` has the features of the true last observation.
+    At the end of an episode `terminal_observation` has the features of the last observation of the episode.
 
     Args:
-        venv: of `UnderactuatedAUVTrackResidual-v0`; a preview for its expert does not show in the features.
+        venv: of `UnderactuatedAUVTrackResidual-v0`; a preview for its expert is not included in the features.
 
     Raises:
-        ValueError: it is another environment.
+        ValueError: `venv` is another environment.
     """
 
     def __init__(self, venv: VecEnv) -> None:
@@ -44,7 +44,7 @@ class VecFeatures(VecEnvWrapper):
         return features
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Hand on the corrections, shape (N, 2), and remember them."""
+        """Pass the corrections, shape (N, 2), to the environment, and store them for the features."""
         self._correction = np.clip(actions, -1.0, 1.0).astype(np.float64)
         self.venv.step_async(actions)
 

@@ -1,4 +1,4 @@
-"""A reward that an agent still feels far off, as a wrapper of vector environments; rl_zoo3 takes it by name."""
+"""A reward with a gradient far from the reference, as a wrapper of vector environments; rl_zoo3 can use it by name."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import decode_observation
 from baselines.policy import SPEED_FLOOR, reference_speed
 
-LINEAR = 2.0  # [s] lag up to which the error costs in proportion; beyond, its logarithm does, with the same slope
+LINEAR = 2.0  # [s] lag up to which the cost is linear; beyond, it is logarithmic, with a continuous slope
 
 
 class VecErrorCost(VecEnvWrapper):
-    """Subtracts from each reward what the position error costs, measured in seconds that the reference is ahead.
+    """Subtracts a cost of the position error from each reward.
 
-    The task's own reward is bounded: it has little slope where a vehicle is far off, and a score is made of just those
-    errors. With t the position error over the reference's speed, the cost is `weight` t up to t = `LINEAR`, and
-    `weight` `LINEAR` (1 + ln(t / `LINEAR`)) from there. A lost vehicle's episode counts as cut off, not as ended:
-    no more costs would be a gain.
+    The reward of the task is bounded, so its slope is small far from the reference; but large errors dominate the
+    score. With the lag t, the position error over the reference's speed, the cost is `weight` t up to t = `LINEAR`, and
+    `weight` `LINEAR` (1 + ln(t / `LINEAR`)) beyond. The end of a failed episode counts as a truncation, not as a
+    termination, because an end without further costs would be an advantage.
 
     Args:
-        venv: with the observation of `UnderactuatedAUVTrack-v0`, and perhaps more columns.
-        weight: reward lost for each second [1/s].
-        share: of the task's own reward that is kept. A critic has less to learn without: what an action is worth is a
-            small part of a bounded reward that every step gives.
-        lead: time [s] by which the measured error is extrapolated with the measured velocities before it costs; None
-            takes the true error as it is. An action moves the velocities at once and the position only later: with a
-            lead its worth shows within a few steps, far above what a critic gets wrong.
+        venv: with the observation of `UnderactuatedAUVTrack-v0`; it may have more columns.
+        weight: cost for each second of lag [1/s].
+        share: factor of the task's reward. With 0 the critic learns more easily, because the effect of an action on the
+            bounded reward is small compared with the reward itself.
+        lead: time [s] by which the measured error is extrapolated with the measured velocities; None uses the true
+            error. An action changes the velocities immediately and the position later. With a lead its effect on the
+            reward is visible within a few steps, and larger than the error of the critic.
     """
 
     def __init__(self, venv: VecEnv, weight: float = 1.0, share: float = 1.0, lead: float | None = None) -> None:
@@ -40,13 +40,13 @@ class VecErrorCost(VecEnvWrapper):
         self._speed = np.full(self.num_envs, SPEED_FLOOR)
 
     def reset(self) -> VecEnvObs:
-        """Start an episode everywhere."""
+        """Reset all sub-environments."""
         observation = self.venv.reset()
         self._remember(observation)
         return observation
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance every vehicle; return observations, dearer rewards, dones and infos."""
+        """Advance every vehicle; return observations, rewards minus costs, dones and infos."""
         observation, reward, done, infos = self.venv.step_wait()
         for i in done.nonzero()[0].tolist():
             infos[i]["TimeLimit.truncated"] = True
@@ -56,7 +56,7 @@ class VecErrorCost(VecEnvWrapper):
         return observation, (self.share * reward - self.weight * cost).astype(np.float32), done, infos
 
     def _error(self, observation: Array, done: NDArray[np.bool_], infos: Sequence[Mapping[str, Any]]) -> Array:
-        """Return the position errors [m], shape (N,), that cost."""
+        """Return the position errors [m] of the cost, shape (N,)."""
         if self.lead is None:
             return np.array([info["position_error"] for info in infos])
         reached = observation.copy()
@@ -71,6 +71,6 @@ class VecErrorCost(VecEnvWrapper):
         return error
 
     def _remember(self, observation: VecEnvObs) -> None:
-        """Keep the reference's speeds [m/s], shape (N,), of this instant for the next step."""
+        """Store the reference's speeds [m/s], shape (N,), for the next step."""
         o = decode_observation(np.asarray(observation))
         self._speed = reference_speed(o.u_R, o.v_R, ARRAYS)

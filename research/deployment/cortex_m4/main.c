@@ -1,15 +1,14 @@
-/* Runs an agent through situations that are compiled in, on a Cortex-M4 under QEMU; prints commands and their cost.
+/* Run an agent on a Cortex-M4 under QEMU, for compiled-in observations and memories; print commands and their cost.
 
-   A situation is an observation and what the agent remembers then.
-   Each line is a decision: surge and yaw command as the bits of their floats, and the ticks of the system timer that
-   it took. Under `-icount shift=0` an instruction takes a nanosecond and a tick of this board's 25 MHz is 40 of them. */
+   Each line is one decision: surge and yaw command as the bits of their floats, and the ticks of the system timer.
+   Under `-icount shift=0` an instruction takes a nanosecond, and a tick of the 25 MHz timer is 40 instructions. */
 
 #include <stdint.h>
 #include <string.h>
 
 #define AUV_AGENT_IMPLEMENTATION
 #include "auv_agent.h"
-#include "situations.h"
+#include "inputs.h"
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define FPU_ACCESS REGISTER(0xE000ED88)
@@ -50,7 +49,7 @@ __attribute__((noinline)) static void run(void)
     static auv_agent_memory memory;
     TIMER_RELOAD = LARGEST;
     TIMER_CONTROL = 5;
-    for (int k = 0; k < SITUATIONS; k++) {
+    for (int k = 0; k < DECISIONS; k++) {
         float command[2];
         char line[28], *end = line;
         memcpy(&memory, memories[k], sizeof memory);

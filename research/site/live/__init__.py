@@ -1,4 +1,4 @@
-"""The live page: simulator, sea, laws, filter and agents in any browser, printed from the package's equations.
+"""The live page: simulation, disturbances, controllers, filter and agents in a browser, printed from the equations.
 
-It is made by `page.write_page`, or from the command line by `python -m research web-demo`.
+`page.write_page` or the command `python -m research web-demo` writes it.
 """

@@ -1,4 +1,4 @@
-"""What the live page knows: references, episodes' constants, gains and weights, computed here, written as a script."""
+"""The data of the live page: references, constants of episodes, gains and weights, written as a script."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.rows import leaves
 from auv_gym.planning.paths import PATHS, Path
@@ -40,9 +40,9 @@ from baselines.gains.loading import load_gains
 from research.site.live.equations import COMPONENTS, shape_of
 
 _SPEEDS = {"slow": 0.2, "cruise": 1.0}
-"""Speed [m/s] of the page's paths, by regime."""
+"""Speed [m/s] of the paths, by speed range."""
 _FAMILIES = {"figure_eight": 3, "random_smooth": 8, "circle": 4, "sine": 2, "line": 1}
-"""Families of the page's paths, with the seed of the member."""
+"""Families of the paths, with the seed of the path."""
 TITLES = {
     "figure_eight": "Figure eight",
     "random_smooth": "Wandering",
@@ -52,18 +52,18 @@ TITLES = {
 }
 """Names of the families on the page."""
 _SEEDS = 8
-"""Episodes of each regime: starts, true vehicles, waves and a direction of the current."""
+"""Number of episodes of each speed range: starts, true vehicles, waves and a direction of the current."""
 LIVE_STEPS = 600
-"""Control steps of an episode."""
+"""Number of control steps of an episode."""
 _VEHICLES = {"plain": "calm", "mismatch": "mismatch", "actuator": "actuator", "both": "storm"}
-"""Cases whose vehicles the page offers: as known, a wrong model, slow actuators, and both."""
+"""Cases of the vehicles: as the known model, with model error, with slow actuators, and with both."""
 
 
 def data(agents: Mapping[str, Exported]) -> str:
     """Return the script that defines the page's object `DATA`.
 
     Args:
-        agents: by what they are called on the page and their regime, as "apg cruise".
+        agents: agents by name and speed range, as "apg cruise".
     """
     ahead = max((max(agent.preview, default=0) for agent in agents.values()), default=0)
     record = {
@@ -88,17 +88,17 @@ def data(agents: Mapping[str, Exported]) -> str:
 
 
 def places(row: Any) -> dict[str, int]:
-    """Return where the numbers of a row stand, by the names of its fields; nested ones by their first number."""
+    """Return the index of each field of a row, by name; of a nested field the index of its first number."""
     return {name: place if isinstance(place, int) else leaves(place)[0] for name, place in row._asdict().items()}
 
 
 def scenario_of(speed_range: str, case: str, path: Path) -> Scenario:
-    """Return a preset on one of the page's paths."""
+    """Return a preset on a path of the page."""
     return replace(PRESETS[f"{speed_range}-{case}"], path=path)
 
 
 def path_of(speed_range: str, family: str) -> Path:
-    """Return a path of the page."""
+    """Return the path of a family at the speed of a speed range."""
     drawn = PRESETS[f"{speed_range}-calm"].path
     rng, cls = np.random.default_rng(_FAMILIES[family]), PATHS[family]
     path: Path = cls.drawn(_SPEEDS[speed_range], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
@@ -111,7 +111,7 @@ def episode_of(speed_range: str, case: str, path: Path, seed: int) -> Episode:
 
 
 def speed_range_record(speed_range: str, ahead: int) -> dict[str, Any]:
-    """Return what the page knows of a regime, with the references up to `ahead` control periods beyond the end."""
+    """Return the data of a speed range, with the references up to `ahead` control periods beyond the end."""
     calm = PRESETS[f"{speed_range}-calm"]
     paths = {family: path_of(speed_range, family) for family in _FAMILIES}
     line = paths["line"]
@@ -130,13 +130,13 @@ def speed_range_record(speed_range: str, ahead: int) -> dict[str, Any]:
 
 
 def _table(speed_range: str, path: Path) -> Any:
-    scenario = scenario_of(speed_range, "actuator", path)  # whose limits are the tightest
+    scenario = scenario_of(speed_range, "actuator", path)  # it has the tightest limits
     episode = episode_of(speed_range, "actuator", path, 0)
     return reference_tables([episode], *plan_of(replace(scenario, steps=LIVE_STEPS)))[0]
 
 
 def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
-    """Return a path's reference table and where it goes behind the end, as numbers of double precision in base64."""
+    """Return the reference table of a path and its positions after the end, in double precision as base64."""
     table = _table(speed_range, path)
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
@@ -149,12 +149,12 @@ def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     return {
         "table": encoded(table, np.float64),
         "beyond": encoded(beyond, np.float64),
-        "weather": leaves(weather),  # all of it at its worst, from which the page's controls take their share
+        "weather": leaves(weather),  # the largest values; the controls of the page scale them
     }
 
 
 def case_record(speed_range: str, case: str) -> dict[str, Any]:
-    """Return how the controls of the page stand for a case: middles of its intervals, relative to the path's speed."""
+    """Return the settings of the controls for a case: centres of its intervals, relative to the speed of the path."""
     scenario, mean = PRESETS[f"{speed_range}-{case}"], PRESETS[f"{speed_range}-waves"].waves
     current, waves = scenario.current, scenario.waves
     assert mean is not None
@@ -173,7 +173,7 @@ def _middle(interval: Interval) -> float:
 
 
 def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
-    """Return what an episode of a regime is made of: its vehicles, the waves at their full height, and its start."""
+    """Return an episode of a speed range: its vehicles, the waves at full height, its start and current direction."""
     waves = episode_of(speed_range, "waves", path, seed).waves
     calm = episode_of(speed_range, "calm", path, seed)
     components = wave_components(waves, PRESETS[f"{speed_range}-waves"].control_dt).ravel()
@@ -187,7 +187,7 @@ def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
 
 
 def _constants(speed_range: str, case: str, path: Path, seed: int) -> list[float]:
-    """Return the numbers of an episode's parameters, infinite ones as the largest number."""
+    """Return the parameters of an episode as numbers; infinite ones are the largest finite number."""
     scenario = scenario_of(speed_range, case, path)
     numbers = np.array(leaves(scenario.parameters(episode_of(speed_range, case, path, seed))))
     finite: list[float] = np.nan_to_num(numbers, posinf=np.finfo(float).max).tolist()
@@ -195,19 +195,19 @@ def _constants(speed_range: str, case: str, path: Path, seed: int) -> list[float
 
 
 def ekf_record(speed_range: str) -> dict[str, Any]:
-    """Return what the law on the filter knows, and the filter's memory at an episode's start."""
+    """Return the parameters of the `ekf` law and of its filters, and the initial state of a filter."""
     vehicle, gains = PRESETS[f"{speed_range}-calm"].vehicle, load_gains("ekf", speed_range, EKF_GAINS)
     kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
     return {
-        "filters": [known[:, 0].tolist() for known in kalman.known],  # for a rough sea, for a calm one
+        "filters": [known[:, 0].tolist() for known in kalman.known],  # in a rough sea, in a calm sea
         "law": [*vehicle.coefficients, *(gains[name] for name in EKF_LAW_GAINS)],
-        "memory": kalman.start(1)[0][0].tolist(),  # of each of them
+        "memory": kalman.start(1)[0][0].tolist(),  # of each filter
         "plan": 7,
     }
 
 
 def agent_record(agent: Exported) -> dict[str, Any]:
-    """Return an agent's weights, which are of single precision, and what its equations need besides."""
+    """Return the weights of an agent, in single precision, and the sizes that its equations need."""
     weights = agent.network.constants
     return {
         "shape": shape_of(agent),
@@ -221,5 +221,5 @@ def agent_record(agent: Exported) -> dict[str, Any]:
 
 
 def encoded(array: Any, kind: Any) -> str:
-    """Return an array's numbers in base64."""
+    """Return the bytes of an array as base64."""
     return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()

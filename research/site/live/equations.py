@@ -1,4 +1,4 @@
-"""The live page's equations: simulator, sea, laws, filter and agents in JavaScript, printed from the kernels."""
+"""The equations of the live page in JavaScript, printed from the kernels."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ from baselines.estimation.kalman import averaged, filter_kernel
 from baselines.export.parts import Exported, network_program
 
 COMPONENTS = 6
-"""Sines that the waves are made of."""
+"""Number of sines of the waves."""
 _PARTS = Parts()
-"""What the page's simulation uses: what the presets do, one integration step and no further trouble."""
+"""Parts of the simulation: those of the presets, with one integration step."""
 LAWS: Mapping[str, Law] = {"backstepping": Backstepping(), "openLoop": OpenLoop()}
-"""Laws without memory by the names of their functions on the page."""
-FILTER = sum(Belief.sizes())  # how many numbers a filter remembers
+"""Control laws without memory, by the names of their functions."""
+FILTER = sum(Belief.sizes())  # size of the state of a filter
 TANGENT = "tangent"
-"""Name of the hyperbolic tangent's function."""
+"""Name of the function of the hyperbolic tangent."""
 
 
 def equations(agents: Sequence[Exported]) -> str:
     """Return the script that defines the page's object `EQUATIONS`, a function for each equation.
 
     Args:
-        agents: whose features, networks and previews it holds; those with the same equations share them.
+        agents: agents of the page. Those with the same `shape_of` share their functions.
     """
     functions = {name: printed(name, kernel) for name, kernel in kernels().items()}
     functions["command"] = printed("command", agents[0].command)
@@ -63,12 +63,12 @@ def equations(agents: Sequence[Exported]) -> str:
 
 
 def printed(name: str, kernel: Kernel, results: Mapping[str, Sequence[Symbol]] | None = None) -> str:
-    """Return a kernel, or some of its results, as a function in JavaScript."""
+    """Return a JavaScript function that computes all or some results of a kernel."""
     return plain_function(name, kernel.graph, kernel.arguments, results or kernel.results, JAVASCRIPT_DIALECT)
 
 
 def kernels() -> dict[str, Kernel]:
-    """Return the kernels of what every vehicle needs, by the names of their functions."""
+    """Return the kernels of the simulation and of the controllers without agents, by the names of their functions."""
     return {
         "start": start_kernel(_PARTS),
         "step": step_kernel(_PARTS),
@@ -76,39 +76,39 @@ def kernels() -> dict[str, Kernel]:
         "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
         "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
         "filter": filter_kernel(),
-        "believed": Kernel.traced(_believed, {"rough": FILTER, "calm": FILTER}),
+        "combined": Kernel.traced(_combined, {"rough": FILTER, "calm": FILTER}),
         "ekfLaw": law_kernel(),
         **{name: _law_kernel(law) for name, law in LAWS.items()},
     }
 
 
 def _sea_kernel() -> Kernel:
-    """Return the kernel of all that is no reference in a sample, for the gusts at the control instant before it."""
+    """Return the kernel of the disturbances and measurement errors of a sample, from the gusts of the sample before."""
 
     def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> dict[str, Any]:
         w, k = filled(WEATHER, weather), gust[0]
-        after = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
-        current = gusty_current(k, (after.s_x, after.s_y), w, SYMBOLS)
+        new = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
+        current = gusty_current(k, (new.s_x, new.s_y), w, SYMBOLS)
         load = wave_load(k, [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)], SYMBOLS)
-        return {"gust": after, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
+        return {"gust": new, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
 
     rows = {"gust": GUST_ROWS, "normals": NORMALS, "weather": WEATHER_ROWS, "waves": WAVE_ROWS * COMPONENTS}
     return Kernel.traced(equation, rows)
 
 
-def _believed(rough: Any, calm: Any) -> dict[str, Any]:
-    """Return the state that the filters for a rough and a calm sea believe in together."""
-    beliefs = Belief.of(rough), Belief.of(calm)
-    return {"state": averaged([b.fit[0] for b in beliefs], [b.state for b in beliefs], SYMBOLS)}
+def _combined(rough: Any, calm: Any) -> dict[str, Any]:
+    """Return the weighted mean of the estimates of the filters for a rough and a calm sea."""
+    filters = Belief.of(rough), Belief.of(calm)
+    return {"state": averaged([f.fit[0] for f in filters], [f.state for f in filters], SYMBOLS)}
 
 
 def _action(terms: Any, force: Any) -> dict[str, Any]:
-    """Return the action of forces in single precision, as policies give it."""
+    """Return the action for a pair of forces, in single precision as the actions of policies."""
     return {"action": [single(a) for a in action_of(tuple(force), terms, SYMBOLS)]}
 
 
 def _law_kernel(law: Law) -> Kernel:
-    """Return the kernel from an observation to a law's action."""
+    """Return the kernel of the action of a control law for an observation."""
 
     def equation(seen: Any) -> dict[str, Any]:
         o = decode(seen, SYMBOLS)
@@ -118,7 +118,7 @@ def _law_kernel(law: Law) -> Kernel:
 
 
 def preview_kernel(columns: int) -> Kernel:
-    """Return the kernel from the reference's ways in the world to a preview's columns."""
+    """Return the kernel of the columns of a preview, from displacements of the reference in the world frame."""
 
     def equation(seen: Any, ways: Any) -> dict[str, Any]:
         return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS, span=1)}
@@ -127,9 +127,9 @@ def preview_kernel(columns: int) -> Kernel:
 
 
 def agent_functions(agents: Sequence[Exported]) -> dict[str, str]:
-    """Return the functions of agents by name; `shape_of` says which are an agent's.
+    """Return the functions of agents by name; the names of the functions of an agent contain its `shape_of`.
 
-    A network's function is made from its weights: `NETWORK(weights)(features, hidden, correction, next_hidden)`.
+    The function of a network is made from its weights: `NETWORK(weights)(features, hidden, correction, next_hidden)`.
     """
     functions: dict[str, str] = {}
     for agent in agents:
@@ -144,7 +144,7 @@ def agent_functions(agents: Sequence[Exported]) -> dict[str, str]:
 
 
 def shape_of(agent: Exported) -> str:
-    """Return what tells agents with different equations apart, as a part of a name."""
+    """Return the part of the function names that is the same for agents with the same equations."""
     network = agent.agent.network
     sizes = [entry for name, shape in network.shapes.items() if name.endswith("weight") for entry in shape]
     inputs = agent.agent.inputs

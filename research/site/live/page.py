@@ -1,6 +1,6 @@
 """Make the live page: `python -m research web-demo --help`.
 
-Its files are printed from the equations, computed beforehand, or written by hand in static/.
+Some files are printed from the equations, one contains computed data, and those in static/ are written by hand.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from research.site.live.equations import equations
 PROGRAM = "python -m research web-demo"
 _FOLDER = Path(__file__).parent / "static"
 _AGENTS = ("apg", "apg-preview")
-"""Shipped agents of the page, one for each regime."""
+"""Families of the shipped agents on the page; each has an agent for each speed range."""
 LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
-"""Addresses of the package that the page shows, and what it calls them."""
+"""Labels of the package's addresses in its metadata, and their labels on the page."""
 LARGEST_PAGE = 3_000_000
-"""Bytes that all files together may have."""
+"""Largest total size of all files, in bytes."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Make the live page: static files for any browser, which run the simulation and need no server.
+    """Write the live page: static files that run the simulation in a browser, without a server.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     out: Path = Path("runs/live")
-    """Folder of the files."""
+    """Folder for the files."""
 
 
 def page_agents() -> dict[str, Exported]:
-    """Return the page's agents by name and regime, as "apg cruise"."""
+    """Return the agents of the page by name and speed range, as "apg cruise"."""
     return {
         f"{name} {speed_range}": exported(f"{name}-{speed_range}") for name in _AGENTS for speed_range in SPEED_RANGES
     }
 
 
 def files() -> dict[str, str]:
-    """Return the page's files by name: text that a browser opens from anywhere, a disk too, without a network."""
+    """Return the texts of the page's files by name. They need no network."""
     agents = page_agents()
     written = {file.name: file.read_text(encoding="utf-8") for file in sorted(_FOLDER.iterdir())}
     printed = {"equations.js": equations([*agents.values()]), "data.js": data(agents) + links()}
@@ -55,7 +55,7 @@ def files() -> dict[str, str]:
 
 
 def links() -> str:
-    """Return the script that tells the page where project and documentation are, as far as the package says so."""
+    """Return the script with the links to the source and the documentation, from the metadata of the package."""
     try:
         entries = importlib.metadata.metadata("auv-gym").get_all("Project-URL") or []
     except importlib.metadata.PackageNotFoundError:
@@ -66,7 +66,7 @@ def links() -> str:
 
 
 def write_page(folder: Path) -> None:
-    """Write the page into a folder, which is made if it is not there; `index.html` is what a browser opens.
+    """Write the page into a folder, which is made if it is missing. Open its `index.html`.
 
     Raises:
         OSError: a file cannot be written.
@@ -77,10 +77,10 @@ def write_page(folder: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the page as the arguments say and return the exit status.
+    """Write the page and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
         OSError: a file cannot be written.
     """
     options = parse(Options, arguments, PROGRAM)

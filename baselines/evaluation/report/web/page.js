@@ -1,9 +1,9 @@
 "use strict";
-// What every page does: unpack its data and the library of charts, sort tables, show one of several panels.
+// Functions of every page: unpack its data and the library of charts, sort tables, show one of several panels.
 
 document.documentElement.classList.add("js");
 
-/** Return the text that an element holds compressed. */
+/** Return the decompressed text of an element. */
 async function unpacked(id) {
   const text = document.getElementById(id).textContent.trim();
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -14,12 +14,12 @@ async function unpacked(id) {
 async function loaded() {
   const [code, data] = await Promise.all([unpacked("library"), unpacked("data")]);
   const script = document.createElement("script");
-  script.textContent = `(() => {${code}})();`; // its names are its own
+  script.textContent = `(() => {${code}})();`; // keeps its names out of the global scope
   document.head.append(script);
   return JSON.parse(data);
 }
 
-/** Give the page's data to what draws its charts, or say that they cannot be drawn. */
+/** Call a function that draws the charts with the data of the page; show a message if this fails. */
 function shown(draw) {
   loaded().then(draw).catch((error) => {
     const note = document.createElement("p");
@@ -49,7 +49,7 @@ async function drawn(element, spec) {
   return view;
 }
 
-/** Make the headings of a table sort it; what has no value comes last. */
+/** Sort a table by a click on a heading; cells without a value are last. */
 function sortable(table) {
   const headings = [...table.tHead.rows[0].cells];
   const key = (row, i) => row.cells[i].dataset.key ?? row.cells[i].textContent;
@@ -75,7 +75,7 @@ function sortable(table) {
   });
 }
 
-/** Show one of the panels of a name. */
+/** Show the panel with an index, and hide the other panels of the name. */
 function turned(name, index) {
   const holder = document.querySelector(`[data-panels="${name}"]`);
   if (!holder) return;

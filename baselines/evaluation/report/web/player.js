@@ -1,6 +1,6 @@
-// An episode played over time: reference, vehicles with their trails, and the current, on a canvas.
+// Animation of an episode on a canvas: reference, vehicles with their trajectories, and the current.
 
-/** Return the player; `chart` shows the errors and the time, `shown` tells the policies that are switched on. */
+/** Return the player. `chart` draws the errors and the time; `shown()` returns the set of selected policies. */
 function player(looks, chart, shown) {
   const canvas = document.getElementById("sea");
   const pen = canvas.getContext("2d");
@@ -11,7 +11,7 @@ function player(looks, chart, shown) {
   const end = () => (episode.reference.x.length - 1) * episode.dt;
   const vehicles = () => episode.vehicles.filter((v) => shown().has(v.policy));
 
-  /** Return x, y [m], heading [rad] of a way at a time [s], between its instants. */
+  /** Return x, y [m], heading [rad] of a trajectory at a time [s], interpolated. */
   function pose(way, time) {
     const k = Math.min(time / episode.dt, way.x.length - 1);
     const i = Math.min(Math.floor(k), way.x.length - 2);
@@ -23,7 +23,7 @@ function player(looks, chart, shown) {
   const wrapped = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
   const over = (v) => t > (v.x.length - 1) * episode.dt + 1e-9;
 
-  /** Return what turns metres into pixels: all of the way, or the surroundings of the reference. */
+  /** Return the scale and the function from metres to pixels, for the whole path or near the reference. */
   function view(width, height) {
     let [x, y, scale] = [0, 0, 1];
     if (document.getElementById("close").checked) {
@@ -52,7 +52,7 @@ function player(looks, chart, shown) {
     pen.setLineDash([]);
   }
 
-  function hull(at, to, length, colour, faded) {
+  function vehicle(at, to, length, colour, faded) {
     const [x, y] = to(at);
     pen.save();
     pen.globalAlpha = faded ? 0.35 : 1;
@@ -77,7 +77,7 @@ function player(looks, chart, shown) {
     pen.fillText(words, x, y);
   }
 
-  /** Draw a bar of a round length, and the current where the first vehicle is. */
+  /** Draw a scale bar, and the current at the first vehicle. */
   function margins(width, height, scale) {
     const most = 90 / scale;
     const unit = 10 ** Math.floor(Math.log10(most));
@@ -129,15 +129,15 @@ function player(looks, chart, shown) {
     pen.arc(...target, 9, 0, 7);
     pen.stroke();
     const length = Math.max(22, Math.min(1.5 * scale, 60));
-    for (const v of vehicles()) hull(pose(v, t), to, length, looks.get(v.policy).colour, over(v));
+    for (const v of vehicles()) vehicle(pose(v, t), to, length, looks.get(v.policy).colour, over(v));
     margins(width, height, scale);
     clock.textContent = `${t.toFixed(1)} of ${end().toFixed(0)} s`;
     slider.value = t;
-    tell();
+    writeErrors();
   }
 
-  /** Write the errors of this time beside the vehicles' names. */
-  function tell() {
+  /** Write the present errors next to the names of the policies. */
+  function writeErrors() {
     for (const item of now.children) {
       const v = episode.vehicles[item.dataset.index];
       const i = Math.min(Math.round(t / episode.dt), v.error.length - 1);
@@ -162,7 +162,7 @@ function player(looks, chart, shown) {
     await chart.draw(rows, t);
   }
 
-  /** Move the cursor of the chart, not more often than the eye sees. */
+  /** Move the cursor of the chart, at most about 16 times a second. */
   function mark() {
     const step = Math.floor(performance.now() / 60);
     if (step === marked && playing) return;
@@ -211,7 +211,7 @@ function player(looks, chart, shown) {
   }
 
   return {
-    /** Take up the episodes of a scenario. */
+    /** Load the episodes of a scenario. */
     async load(s) {
       scenario = s;
       document.getElementById("player").hidden = s.episodes.length === 0;
@@ -229,7 +229,7 @@ function player(looks, chart, shown) {
       }));
       await show(0);
     },
-    /** Draw anew, for other policies. */
+    /** Draw again after a change of the selected policies. */
     async refresh() {
       if (!episode) return;
       named();

@@ -1,4 +1,4 @@
-// The page about an evaluation: which policies are shown, which scenario is looked at, and the charts of both.
+// The report of an evaluation: the selected policies, the selected scenario, and their charts.
 
 const $ = (id) => document.getElementById(id);
 
@@ -9,7 +9,7 @@ function report(data) {
   let scenario = 0;
   const visible = (rows) => rows.filter((row) => chosen.has(row.policy));
 
-  /** Make a chart, or put other rows into it. */
+  /** Draw a chart, or replace the rows of a chart that exists. */
   async function chart(id, element, rows, others = {}, values = {}) {
     const key = element.id || id;
     if (!views[key]) {
@@ -27,7 +27,7 @@ function report(data) {
     await view.runAsync();
   }
 
-  /** The scores of all cases, a chart for each speed_range. */
+  /** Draw the scores of all cases, a chart for each speed range. */
   async function scores() {
     const box = $("scores");
     if (!box) return;

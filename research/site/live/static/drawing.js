@@ -1,5 +1,5 @@
 "use strict";
-// Pictures on canvases; nothing here changes what is simulated.
+// Drawing on canvases; it does not change the simulation.
 const DRAWING = (() => {
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   let cache = null;
@@ -15,7 +15,7 @@ const DRAWING = (() => {
     return cache;
   }
 
-  // A canvas of the screen's own resolution, cleared: its context, width and height in CSS pixels.
+  // Clears a canvas and sets its resolution to that of the screen. Returns its context, width and height in CSS pixels.
   function sheet(canvas) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2), { clientWidth: w, clientHeight: h } = canvas;
     if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
@@ -52,7 +52,7 @@ const DRAWING = (() => {
     g.restore();
   }
 
-  // The specks that drift with the water, so that the current can be seen.
+  // Particles that drift with the water and show the current.
   const specks = Array.from({ length: 130 }, (_, i) => ({ x: (i * 0.618034) % 1, y: (i * 0.754878) % 1, depth: 0.35 + 0.65 * ((i * 0.3719) % 1) }));
 
   function drift(current, seconds, view) {
@@ -102,7 +102,7 @@ const DRAWING = (() => {
 
   const mapSize = (view) => Math.min(96, view.h / 4);
 
-  // The whole path in small.
+  // A small map of the whole path.
   function map(g, scene, c) {
     const { rows, last } = scene.path, { view } = scene, xs = [], ys = [], size = mapSize(view);
     for (let k = 0; k <= last; k += 6) { xs.push(rows[8 * k]); ys.push(rows[8 * k + 1]); }
@@ -191,19 +191,19 @@ const DRAWING = (() => {
     g.closePath(); g.fill();
   }
 
-  // The current as it is, and as the filter believes it to be.
-  function rose(canvas, truth, belief, largest, colour) {
+  // The true current, and the estimate of the filter.
+  function rose(canvas, current, estimated, largest, colour) {
     const { g, w, h } = sheet(canvas), c = colours(), r = w / 2 - 6;
     g.fillStyle = c.panel; g.globalAlpha = 0.72;
     g.beginPath(); g.arc(w / 2, h / 2, r + 4, 0, 2 * Math.PI); g.fill(); g.globalAlpha = 1;
     g.strokeStyle = c.line; g.lineWidth = 1;
     for (const share of [0.5, 1]) { g.beginPath(); g.arc(w / 2, h / 2, share * r, 0, 2 * Math.PI); g.stroke(); }
     const scaled = ([x, y]) => { const m = Math.max(1, Math.hypot(x, y) / largest); return [(x / largest / m) * r, (-y / largest / m) * r]; };
-    arrow(g, w / 2, h / 2, ...scaled(truth), c.accent, 5);
-    if (belief) arrow(g, w / 2, h / 2, ...scaled(belief), colour, 2.5, [4, 3]);
+    arrow(g, w / 2, h / 2, ...scaled(current), c.accent, 5);
+    if (estimated) arrow(g, w / 2, h / 2, ...scaled(estimated), colour, 2.5, [4, 3]);
   }
 
-  // Two bars from -1 to 1, the command's surge and yaw; with an agent, what it has added to the expert's.
+  // Two bars from -1 to 1: the commands of surge and yaw. For an agent they have the part of the expert in grey.
   function commands(canvas, action, base, colour) {
     const { g, w, h } = sheet(canvas), c = colours(), left = 48, mid = left + (w - left) / 2, half = (w - left) / 2 - 2;
     g.font = "12px system-ui, sans-serif"; g.textBaseline = "middle";

@@ -1,5 +1,5 @@
 "use strict";
-// What runs the printed equations: a sea that is the same for all, and vehicles with a controller each.
+// Calls the printed equations: disturbances that are the same for all vehicles, and a controller for each vehicle.
 const ENGINE = (() => {
   const { sizes, at, measured: [FIRST_MEASURED, END_MEASURED] } = DATA;
   const zeros = (n) => new Float64Array(n);
@@ -30,7 +30,7 @@ const ENGINE = (() => {
     };
   }
 
-  // A path's reference at every control instant, and where it goes on behind the last one.
+  // The reference of a path at every control instant, and its positions after the last one.
   function referenceOf(path) {
     const rows = numbers(path.table, Float64Array), beyond = numbers(path.beyond, Float64Array);
     const last = rows.length / 8 - 1;
@@ -43,17 +43,17 @@ const ENGINE = (() => {
     };
   }
 
-  // The sea of an episode: a sample for each control instant, as the settings of the moment want it.
+  // The disturbances of an episode: a sample for each control instant, scaled by the present settings.
   function seaOf(speed_range, path, seed, settings) {
     const own = speed_range.seeds[seed % speed_range.seeds.length], normal = normals(seed + 1);
     const gust = zeros(sizes.gust), noise = zeros(sizes.normals), weather = Float64Array.from(path.weather);
     const waves = zeros(own.waves.length), sea = zeros(sizes.sample - 8), sample = zeros(sizes.sample);
     function tune() {
-      const { current, direction, gusts, waves: height, noise: loudness } = settings;
+      const { current, direction, gusts, waves: height, noise: noiseScale } = settings;
       weather[at.weather.V_x] = current * speed_range.speed * Math.cos(direction);
       weather[at.weather.V_y] = current * speed_range.speed * Math.sin(direction);
       weather[at.weather.sigma] = gusts * speed_range.speed;
-      for (let i = 0; i < 6; i++) weather[at.weather.noise + i] = path.weather[at.weather.noise + i] * loudness;
+      for (let i = 0; i < 6; i++) weather[at.weather.noise + i] = path.weather[at.weather.noise + i] * noiseScale;
       for (let i = 0; i < waves.length; i++) waves[i] = own.waves[i] * (i % sizes.waveRows ? height : 1);
     }
     return {
@@ -80,14 +80,14 @@ const ENGINE = (() => {
   function ekfController(name, speed_range) {
     const { filters, law, memory, plan } = DATA.speed_ranges[speed_range].ekf;
     const planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2), estimate = zeros(Object.keys(at.estimate).length);
-    const seas = filters.map((known) => ({ known: Float64Array.from(known), belief: Float64Array.from(memory) }));
+    const both = filters.map((known) => ({ known: Float64Array.from(known), memory: Float64Array.from(memory) }));
     const known = Float64Array.from(law);
     return {
       estimate,
       act(seen, action) {
         EQUATIONS.decoded(seen, terms);
-        for (const sea of seas) EQUATIONS.filter(terms, sea.known, sea.belief, sea.belief);
-        EQUATIONS.believed(seas[0].belief, seas[1].belief, estimate);
+        for (const each of both) EQUATIONS.filter(terms, each.known, each.memory, each.memory);
+        EQUATIONS.combined(both[0].memory, both[1].memory, estimate);
         EQUATIONS.ekfLaw(terms, known, estimate, planned, force);
         EQUATIONS.forcesToAction(terms, force, action);
       },
@@ -126,7 +126,7 @@ const ENGINE = (() => {
     };
   }
 
-  // A vehicle in the water: its state, what it observes, and who steers it.
+  // A vehicle: its state, its observation and its controller.
   function vehicleOf(name, speed_range, parameters) {
     const controller = CONTROLLERS[name](name, speed_range), state = zeros(sizes.state);
     const sides = [0, 1].map(() => ({ plant: zeros(sizes.plant), seen: zeros(sizes.seen) }));
@@ -150,13 +150,13 @@ const ENGINE = (() => {
     };
   }
 
-  // Where an episode of a seed begins, relative to the first row of its reference.
+  // The initial state of an episode, for the first row of its reference.
   function beginning(seed, row) {
     const [x, y, psi, surge] = seed.start;
     return [row[0] + x, row[1] + y, row[2] + psi, surge * row[3], 0, 0];
   }
 
-  // Runs a controller through given samples, as tests do: commands and errors of every step.
+  // Runs a controller through given samples, for tests. Returns commands, states and errors of every step.
   function replay(name, speed_range, family, samples, parameters, state) {
     const reference = referenceOf(DATA.speed_ranges[speed_range].paths[family]);
     const vehicle = vehicleOf(name, speed_range, Float64Array.from(parameters));

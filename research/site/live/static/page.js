@@ -1,13 +1,13 @@
 "use strict";
-// The page: what is chosen, the clock, dragging, and what is shown of it.
+// The page: choices, time, dragging, and panels.
 const PAGE = (() => {
   const $ = (id) => document.getElementById(id);
   const KINDS = {
-    backstepping: { title: "Expert", text: "A backstepping law of 2005. Knows no sea.", colour: "#e08a1e" },
-    ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, then plans for them.", colour: "#1fa37a" },
+    backstepping: { title: "Expert", text: "A backstepping law of 2005. It has no model of the disturbances.", colour: "#e08a1e" },
+    ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, and compensates them.", colour: "#1fa37a" },
     apg: { title: "Trained agent", text: "A network corrects the expert.", colour: "#d6458b" },
-    apgPreview: { title: "Agent that looks ahead", text: "Also sees the next seconds of the path.", colour: "#7a6cf0" },
-    openLoop: { title: "No feedback", text: "The planned forces, whatever happens.", colour: "#8796a5" },
+    apgPreview: { title: "Agent with preview", text: "Its input also has the next seconds of the path.", colour: "#7a6cf0" },
+    openLoop: { title: "No feedback", text: "The planned forces alone.", colour: "#8796a5" },
   };
   const CASES = {
     calm: "Calm", noise: "Noisy sensors", current: "Current", "gauss-markov": "Gusts", waves: "Waves",
@@ -16,12 +16,12 @@ const PAGE = (() => {
   const SPEED_RANGES = { cruise: "Cruise, 1 m/s", slow: "Slow, 0.2 m/s" };
   const SLIDERS = [
     ["current", "Current", 0, 0.6, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
-    ["direction", "flowing towards", 0, 6.28, 0.02, (v) => `${Math.round((v * 180) / Math.PI)}\u00b0`],
+    ["direction", "Direction of the current", 0, 6.28, 0.02, (v) => `${Math.round((v * 180) / Math.PI)}\u00b0`],
     ["gusts", "Gusts", 0, 0.3, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
     ["waves", "Waves", 0, 2, 0.05, (v) => `${Math.round(100 * v)} %`],
     ["noise", "Sensor noise", 0, 3, 0.05, (v) => `${Math.round(100 * v)} %`],
   ];
-  const TOGGLES = [["mismatch", "Differs from the model (mass, drag)"], ["actuator", "Slow and weak actuators"]];
+  const TOGGLES = [["mismatch", "Model error (mass, drag)"], ["actuator", "Slow and weak actuators"]];
   const SPEEDS = [1, 2, 4, 8];
   const WINDOW = 10, TRAIL = 400, REST = 2.5, LENGTH = { cruise: 1.5, slow: 0.6 };
 
@@ -33,12 +33,12 @@ const PAGE = (() => {
 
   const speed_range = () => DATA.speed_ranges[chosen.speed_range];
   const own = () => speed_range().seeds[chosen.seed % speed_range().seeds.length];
-  const circumstances = () => (chosen.mismatch ? (chosen.actuator ? "both" : "mismatch") : chosen.actuator ? "actuator" : "plain");
+  const vehicleKind = () => (chosen.mismatch ? (chosen.actuator ? "both" : "mismatch") : chosen.actuator ? "actuator" : "plain");
 
   function begin() {
     const r = speed_range(), path = r.paths[chosen.family], reference = ENGINE.referenceOf(path);
     const sea = ENGINE.seaOf(r, path, chosen.seed, settings), first = Float64Array.from(sea.next(reference.row(0)));
-    const parameters = Float64Array.from(own().vehicles[circumstances()]);
+    const parameters = Float64Array.from(own().vehicles[vehicleKind()]);
     const vehicles = Object.keys(KINDS).map((name) => {
       const vehicle = ENGINE.vehicleOf(name, chosen.speed_range, parameters);
       vehicle.begin(ENGINE.beginning(own(), reference.row(0)), first);
@@ -68,7 +68,7 @@ const PAGE = (() => {
     run.k += 1;
   }
 
-  // A hand holds the vehicles: they are where it is, and at rest.
+  // While the vehicles are dragged, they are at the pointer and at rest.
   function pin(vehicle) {
     for (const plant of [vehicle.plant, vehicle.before]) {
       plant[DATA.at.plant.x] = held.x;
@@ -107,7 +107,7 @@ const PAGE = (() => {
     };
   }
 
-  // The camera stays with the reference and shows who is off, as far as that is sensible.
+  // The camera follows the reference, and zooms out to show all vehicles, up to a limit.
   function look(picture, seconds) {
     const [x, y] = picture.reference, least = chosen.speed_range === "cruise" ? 11 : 3.2, most = 6 * least;
     const reach = picture.vehicles.map((v) => Math.max(Math.abs(v.x - x) * (view.h / view.w), Math.abs(v.y - y)));
@@ -122,12 +122,12 @@ const PAGE = (() => {
   function paint() {
     const picture = scene(), ekf = run.vehicles.find((v) => v.name === "ekf"), e = DATA.at.estimate;
     DRAWING.sea($("sea"), picture);
-    const z = ekf.vehicle.controller.estimate, belief = chosen.on.has("ekf") ? [z[e.V_x], z[e.V_y]] : null;
-    DRAWING.rose($("rose"), picture.current, belief, 0.6 * speed_range().speed, KINDS.ekf.colour);
-    $("rosetext").textContent = `current ${Math.hypot(...picture.current).toFixed(2)} m/s` + (belief ? `, the filter believes ${Math.hypot(...belief).toFixed(2)}` : "");
+    const z = ekf.vehicle.controller.estimate, estimated = chosen.on.has("ekf") ? [z[e.V_x], z[e.V_y]] : null;
+    DRAWING.rose($("rose"), picture.current, estimated, 0.6 * speed_range().speed, KINDS.ekf.colour);
+    $("rosetext").textContent = `current ${Math.hypot(...picture.current).toFixed(2)} m/s` + (estimated ? `, estimated ${Math.hypot(...estimated).toFixed(2)}` : "");
     const t = Math.min(run.k * speed_range().dt, DATA.steps * speed_range().dt);
-    $("clock").textContent = run.over ? `${t.toFixed(0)} s: done, a new sea follows` : `${t.toFixed(1)} s of ${DATA.steps * speed_range().dt} s, sea ${chosen.seed + 1}`;
-    if (stats.frames % 4) return; // numbers and charts need not follow every frame
+    $("clock").textContent = run.over ? `${t.toFixed(0)} s: done, a new episode follows` : `${t.toFixed(1)} s of ${DATA.steps * speed_range().dt} s, episode ${chosen.seed + 1}`;
+    if (stats.frames % 4) return; // numbers and charts are updated every fourth frame
     for (const each of run.vehicles) card(each);
     const lines = run.vehicles.filter((v) => chosen.on.has(v.name)).map((v) => ({ colour: KINDS[v.name].colour, points: v.points }));
     DRAWING.errors($("errors"), lines, DATA.steps * speed_range().dt, run.marks);
@@ -245,7 +245,7 @@ const PAGE = (() => {
   function play() {
     playing = !playing;
     $("play").textContent = playing ? "\u275a\u275a" : "\u25b6";
-    $("play").setAttribute("aria-label", playing ? "Pause" : "Go on");
+    $("play").setAttribute("aria-label", playing ? "Pause" : "Continue");
   }
 
   function reseed() {

@@ -1,4 +1,4 @@
-"""The clairvoyant optimum: another optimiser finds nothing better, and the environment gives what was planned."""
+"""The full-information optimum: SciPy finds no better commands, and the environment has the predicted error."""
 
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from auv_gym.physics.rows import leaves
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
-from baselines.control.privileged.problem import HEAD, PRICE, Problem
+from baselines.control.privileged.optimum import arriving, oracle_actions
+from baselines.control.privileged.problem import EFFORT_WEIGHT, TRANSIENT_WEIGHT, Problem
 from baselines.control.privileged.solver import TOLERANCE, best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.rollout import rollout
@@ -37,44 +37,44 @@ def test_at_least_as_good_as_the_oracle_in_every_episode(speed_range, case):
 
 
 @pytest.mark.parametrize("cell", ["slow-delay", "cruise-sluggish", "cruise-short-limits", "slow-everything"])
-def test_the_environment_gives_what_was_planned(cell):
-    """Late commands, slow and short actuators, a current that varies in space; actions are rounded on the way."""
+def test_the_environment_has_the_predicted_error(cell):
+    """With delayed commands, slow and weak actuators, a current that varies in space, and rounded actions."""
     own = next(c for c in load_suite("unmodelled-v1").cells if c.scenario.name == cell)
     episodes = own.episodes[:6]
-    _, course = optimum(own.scenario, episodes)
+    _, trajectory = optimum(own.scenario, episodes)
     run = rollout(make_policy("clairvoyant"), own.scenario, episodes, 10.0)
-    np.testing.assert_allclose(run.measures.steady_rmse, course.steady_rmse, rtol=1e-3, atol=TOLERANCE)
+    np.testing.assert_allclose(run.measures.steady_rmse, trajectory.steady_rmse, rtol=1e-3, atol=TOLERANCE)
 
 
 def test_scipy_finds_no_better_commands():
-    """Over a short episode, on the simulation in plain Python, from the optimum and from elsewhere."""
+    """In a short episode, simulated in plain Python, from the optimum and from other initial commands."""
     scenario = replace(PRESETS["cruise-storm"], steps=24)
     episodes = drawn(scenario, 1, 3).episodes
-    problem, course = optimum(scenario, episodes)
+    problem, trajectory = optimum(scenario, episodes)
     truth = Truth.of(scenario, episodes)
     rows = [float(np.ravel(row)[0]) for row in leaves(truth.parameters)]
     p, samples = Parameters.of(rows, scenario.parts), truth.samples[..., 0].tolist()
-    begun, _ = start(tuple(problem.begun[:6, 0].tolist()), samples[0], p, FLOATS)
+    initial, _ = start(tuple(problem.begun[:6, 0].tolist()), samples[0], p, FLOATS)
     weight = problem.weight[:, 0, 0]
 
     def cost(flat):
-        plant, total = begun, 0.0
+        plant, total = initial, 0.0
         for w, action, sample in zip(weight, flat.reshape(-1, 2).tolist(), samples[1:], strict=True):
             plant, _, (_, _, squared, _) = step(plant, action, sample, p, FLOATS)
-            total += w * squared + PRICE * (action[0] ** 2 + action[1] ** 2)
+            total += w * squared + EFFORT_WEIGHT * (action[0] ** 2 + action[1] ** 2)
         return total
 
-    mine = course.commands[..., 0].ravel()
-    assert cost(mine) == pytest.approx(course.cost[0], rel=1e-9)
-    assert weight.sum() == pytest.approx(1.0 + HEAD * 8 / 24)
-    elsewhere = np.clip(mine + 0.3 * np.random.default_rng(0).standard_normal(len(mine)), -1, 1)
-    for guess in (mine, elsewhere):
+    mine = trajectory.commands[..., 0].ravel()
+    assert cost(mine) == pytest.approx(trajectory.cost[0], rel=1e-9)
+    assert weight.sum() == pytest.approx(1.0 + TRANSIENT_WEIGHT * 8 / 24)
+    other = np.clip(mine + 0.3 * np.random.default_rng(0).standard_normal(len(mine)), -1, 1)
+    for guess in (mine, other):
         theirs = minimize(cost, guess, method="L-BFGS-B", bounds=[(-1, 1)] * len(mine), options={"maxfun": 10_000})
-        assert np.sqrt(theirs.fun) > np.sqrt(course.cost[0]) - TOLERANCE
+        assert np.sqrt(theirs.fun) > np.sqrt(trajectory.cost[0]) - TOLERANCE
 
 
-def test_commands_arrive_late():
+def test_commands_act_after_the_delay():
     actions = np.arange(12.0).reshape(3, 2, 2)
-    late = arriving(actions, np.array([0, 2]))
-    np.testing.assert_array_equal(late[..., 0], actions[..., 0])
-    np.testing.assert_array_equal(late[..., 1], [[0, 0], [0, 0], actions[0, :, 1]])
+    delayed = arriving(actions, np.array([0, 2]))
+    np.testing.assert_array_equal(delayed[..., 0], actions[..., 0])
+    np.testing.assert_array_equal(delayed[..., 1], [[0, 0], [0, 0], actions[0, :, 1]])

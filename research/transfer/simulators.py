@@ -1,4 +1,4 @@
-"""Simulators of vehicles in six degrees of freedom, side by side: what an environment needs of one, and our own."""
+"""Simulators of vehicles with six degrees of freedom: the interface for an environment, and our own simulator."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array, Namespace
 from research.transfer.otter import OTTER, OTTER_VARIANTS
 from research.transfer.remus100 import REMUS100, REMUS100_VARIANTS
-from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, Vector
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, Vector
 
-STEP = 0.02  # [s] longest integration step, that of the source
-_LEVEL = 6  # x, y, psi, u, v, r
+STEP = 0.02  # [s] longest integration step, as in the source
+_PLANAR = 6  # x, y, psi, u, v, r
 _FORCES = 2  # F_u, F_r
 
 
@@ -25,96 +25,96 @@ class _Model(Protocol):
     """The equations of a vehicle whose state is a row of `size` numbers."""
 
     def __hash__(self) -> int:
-        """Tell it from others: equations are compiled once for each."""
+        """Return a hash: equations are compiled once for each model."""
 
     @property
     def name(self) -> str:
-        """What `vehicle_names.vehicle_model` calls it."""
+        """Name of the vehicle, as in `scenarios.vehicles.vehicle_model`."""
 
     @property
     def size(self) -> int:
-        """How many numbers its state has."""
+        """Number of state variables."""
 
     def placed(self, states: Array) -> Array:
-        """Return the rows, shape (size, n), of vehicles at rest but for x, y, psi, u, v, r, shape (6, n)."""
+        """Return the rows, shape (size, n), for x, y, psi, u, v, r of shape (6, n); all else is in equilibrium."""
 
     def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
         """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the actuators."""
 
-    def orders(self, first: Vector, outside: Outside, ns: Namespace) -> Sequence[Any]:
-        """Return what the inner loops order of the actuators, for the rows at the beginning of a step."""
+    def orders(self, first: Vector, inputs: Inputs, ns: Namespace) -> Sequence[Any]:
+        """Return the commands of the inner loops to the actuators, from the rows at the beginning of a step."""
 
-    def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> Sequence[Any]:
+    def rates(self, rows: Vector, orders: Vector, inputs: Inputs, d: Deviation, ns: Namespace) -> Sequence[Any]:
         """Return the time derivative of the rows."""
 
 
 SIX_DOF_MODELS: Mapping[str, _Model] = {model.name: model for model in (REMUS100, OTTER)}
-"""The vehicles by their names in the fleet."""
-WORLD_VARIANTS: Mapping[str, Mapping[str, _Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
-"""What each is without parts of itself, to see what makes a difference; the first is the vehicle."""
+"""The models by the names of their vehicles."""
+SIX_DOF_VARIANTS: Mapping[str, Mapping[str, _Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
+"""Variants of the models without some effects, by vehicle; the first variant is the published model."""
 
 
-class World(Protocol):
+class Simulator(Protocol):
     """N vehicles of another simulator.
 
     Positions are in the plane, seen from above; u, v are relative to the water, level and along the heading.
     """
 
-    def place(self, lanes: Any, states: Array, deviations: Array) -> None:
-        """Put n of the vehicles, an index of which is given, somewhere, everything else at rest.
+    def place(self, indices: Any, states: Array, deviations: Array) -> None:
+        """Set the states of n of the vehicles, with all other states in equilibrium.
 
         Args:
-            lanes: which.
+            indices: index of the vehicles.
             states: x, y, psi, u, v, r, shape (6, n).
             deviations: rows of a `six_dof.Deviation`, shape (9, n).
         """
 
-    def advance(self, outside: Array, dt: float) -> tuple[Array, Array]:
-        """Go on by dt [s] with the rows of an `Outside`, shape (7, N).
+    def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
+        """Advance by dt [s] with the rows of `six_dof.Inputs`, shape (7, N).
 
         Returns:
-            x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] that the actuators give, shape (2, N).
+            x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] of the actuators, shape (2, N).
         """
 
     def kept(self) -> Any:
-        """Return a copy of all that it remembers."""
+        """Return a copy of the state of the simulator."""
 
     def restore(self, kept: Any) -> None:
-        """Be as when `kept` was asked."""
+        """Restore a state that `kept` has returned."""
 
 
 RATES_ROWS = {
-    "outside": len(Outside._fields),
+    "inputs": len(Inputs._fields),
     "deviation": len(Deviation._fields),
-    "level": _LEVEL,
+    "level": _PLANAR,
     "forces": _FORCES,
 }
-"""Rows of the arrays of a `rates_kernel`, but for those that have as many as the vehicle's state."""
+"""Numbers of rows of the arrays of a `rates_kernel`; the other arrays have those of the vehicle's state."""
 
 
 @cache
 def rates_kernel(model: _Model) -> Kernel:
-    """Return the kernel of a vehicle's rates and of what is seen of it.
+    """Return the kernel of a vehicle's rates, planar state and forces.
 
-    Orders to its actuators hold since the rows with which a step `began`.
+    The commands to its actuators follow from the rows `began` at the beginning of a step.
     """
 
-    def equation(began: Any, rows: Any, outside: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
-        acting = Outside(*outside)
+    def equation(began: Any, rows: Any, inputs: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
+        acting = Inputs(*inputs)
         orders = model.orders(began, acting, SYMBOLS)
         level, forces = model.seen(rows, SYMBOLS)
         rates = model.rates(rows, orders, acting, Deviation(*deviation), SYMBOLS)
         return {"rates": rates, "level": level, "forces": forces}
 
-    sizes = {array: RATES_ROWS[array] for array in ("outside", "deviation")}
+    sizes = {array: RATES_ROWS[array] for array in ("inputs", "deviation")}
     return Kernel.traced(equation, {"began": model.size, "rows": model.size, **sizes})
 
 
-class Own:
-    """N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
+class SixDofSimulator:
+    """A `Simulator` with N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
 
     Args:
-        vehicle: its name, or its equations.
+        vehicle: its name or its equations.
         n: N.
 
     Raises:
@@ -124,7 +124,7 @@ class Own:
     def __init__(self, vehicle: str | _Model, n: int) -> None:
         if isinstance(vehicle, str) and vehicle not in SIX_DOF_MODELS:
             raise ValueError(
-                f"{vehicle!r} is no vehicle of six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
+                f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
             )
         self._model = SIX_DOF_MODELS[vehicle] if isinstance(vehicle, str) else vehicle
         size = self._model.size
@@ -135,16 +135,16 @@ class Own:
 
     @property
     def rows(self) -> Array:
-        """The vehicles' rows, shape (size, N)."""
+        """States of the vehicles, shape (size, N)."""
         return self._arrays["began"]
 
-    def place(self, lanes: Any, states: Array, deviations: Array) -> None:
-        """See `World.place`."""
-        self.rows[:, lanes], self._arrays["deviation"][:, lanes] = self._model.placed(states), deviations
+    def place(self, indices: Any, states: Array, deviations: Array) -> None:
+        """See `Simulator.place`."""
+        self.rows[:, indices], self._arrays["deviation"][:, indices] = self._model.placed(states), deviations
 
-    def advance(self, outside: Array, dt: float) -> tuple[Array, Array]:
-        """See `World.advance`."""
-        self._arrays["outside"][:] = outside
+    def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
+        """See `Simulator.advance`."""
+        self._arrays["inputs"][:] = inputs
         steps = math.ceil(dt / STEP - 1e-9)
         for _ in range(steps):
             self._step(dt / steps)
@@ -152,14 +152,14 @@ class Own:
         return self._arrays["level"].copy(), self._arrays["forces"].copy()
 
     def _step(self, h: float) -> None:
-        """Go on by a classical Runge-Kutta step of h [s]."""
+        """Advance by a classical Runge-Kutta step of h [s]."""
         slope = self._rates(0.0).copy()
         for share, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
             slope += weight * self._rates(share * h)
         self.rows[:] += h / 6 * slope
 
     def _rates(self, ahead: float) -> Array:
-        """Return the rates where the last ones lead to in a time [s] from the beginning of the step."""
+        """Return the rates at the rows that the last rates lead to in a time [s] from the beginning of the step."""
         arrays = self._arrays
         np.multiply(arrays["rates"], ahead, out=arrays["rows"])
         arrays["rows"] += arrays["began"]
@@ -167,10 +167,10 @@ class Own:
         return arrays["rates"]
 
     def kept(self) -> Any:
-        """See `World.kept`."""
+        """See `Simulator.kept`."""
         return {array: values.copy() for array, values in self._arrays.items()}
 
     def restore(self, kept: Any) -> None:
-        """See `World.restore`."""
+        """See `Simulator.restore`."""
         for array, values in kept.items():
             self._arrays[array][:] = values

@@ -1,4 +1,4 @@
-"""Hulls to train on: what they are drawn from, that they can do their scenarios, and who is told what of them."""
+"""Vehicle models to train on: their ranges, their scenarios, and the inputs of networks and experts from them."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from auv_gym.scenarios import vehicles as vehicle_names
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
-from baselines.agents.features import HULL_FEATURES, LARGEST_FEATURE, Inputs
+from baselines.agents.features import LARGEST_FEATURE, VEHICLE_FEATURES, Inputs
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.training import vehicle_models
@@ -51,7 +51,7 @@ def turned():
     return scenarios, vehicle_models.variants_of(scenarios, 0.5, 3)
 
 
-def test_a_share_of_the_vehicles_has_drawn_hulls_of_the_papers_mass_length_and_speed(turned):
+def test_a_share_of_the_vehicles_has_drawn_models(turned):
     scenarios, given = turned
     assert [len(own) for own in given] == [1, vehicle_models.SEVERAL, 1, vehicle_models.SEVERAL]
     for scenario, own in zip(scenarios, given, strict=True):
@@ -64,7 +64,7 @@ def test_a_share_of_the_vehicles_has_drawn_hulls_of_the_papers_mass_length_and_s
     assert vehicle_models.variants_of(scenarios, 0.5, 4) != given
 
 
-def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(turned):
+def test_episodes_cycle_through_the_models(turned):
     scenarios, given = turned
     vehicles = TrainingVehicles(scenarios, 0, 50, (), given)
     carried = vehicles.reset(0)
@@ -72,7 +72,7 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
     seen = [vehicles.known.copy()]
     for _ in range(vehicle_models.SEVERAL):
         carried = vehicles.renew(carried, np.full(4, np.nan))
-        assert vehicles.held_out.all()
+        assert vehicles.begins.all()
         seen.append(vehicles.known.copy())
         true = vehicles.constants[at]
         assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone
@@ -83,7 +83,7 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
             assert tuple(known[:, i]) == given[i][k % len(given[i])].vehicle.coefficients
 
 
-def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
+def test_a_model_error_does_not_change_plan_and_motion(turned):
     scenarios, given = turned
     right, misled = (
         TrainingVehicles(scenarios, 0, 50, (), given),
@@ -101,7 +101,7 @@ def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
     assert np.any(wrong, axis=0).all()
 
 
-def test_a_wrong_hull_is_wrong_in_its_ratios_alone_and_a_slender_one():
+def test_a_model_error_changes_ratios_only_and_keeps_the_vehicle_slender():
     rng, low, high = np.random.default_rng(0), *vehicle_models.MISTAKE
     for vehicle in (PAPER_VEHICLE, OTHER):
         said = [vehicle_models.with_model_error(vehicle, rng) for _ in range(400)]
@@ -117,7 +117,7 @@ def test_a_wrong_hull_is_wrong_in_its_ratios_alone_and_a_slender_one():
         assert max(m22) > 1.5 * vehicle.m22
 
 
-def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
+def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
     """The expert, the filters and the features of a loop with several hulls are those of policies made for each."""
     known = [PAPER_VEHICLE, OTHER]
     expert = Backstepping()
@@ -141,11 +141,15 @@ def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
         observation, *_ = env.step(rng.uniform(-0.5, 0.5, (2, 2)))
 
 
-def test_features_of_the_hull_are_bounded_and_those_of_the_table():
+def test_vehicle_features_are_bounded_and_equal_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
     got = dict(
-        zip([f.name for f in HULL_FEATURES], (float(np.ravel(x)[0]) for x in rows[-len(HULL_FEATURES) :]), strict=True)
+        zip(
+            [f.name for f in VEHICLE_FEATURES],
+            (float(np.ravel(x)[0]) for x in rows[-len(VEHICLE_FEATURES) :]),
+            strict=True,
+        )
     )
     assert got["m22"] == pytest.approx(400 / 215 - 1)
     assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
@@ -154,10 +158,10 @@ def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= LARGEST_FEATURE
-    assert Inputs().features == Inputs(hull=True).features[: -len(HULL_FEATURES)]
+    assert Inputs().features == Inputs(hull=True).features[: -len(VEHICLE_FEATURES)]
 
 
-def test_an_agent_acts_by_what_it_is_told():
+def test_the_action_depends_on_the_nominal_vehicle():
     """Without an expert, which would be told as well."""
     torch.manual_seed(0)
     observation, inputs = np.zeros(18), Inputs(hull=True)
@@ -170,7 +174,7 @@ def test_an_agent_acts_by_what_it_is_told():
     assert (paper != other).any()
 
 
-def test_who_is_told_more_begins_as_the_agent_that_it_begins_with():
+def test_additional_inputs_do_not_change_the_initial_action():
     torch.manual_seed(0)
     observation = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 18))
     observation[:, [13, 14, 17]] = 0.78125, 0.78125, 0.8
@@ -187,12 +191,12 @@ def test_who_is_told_more_begins_as_the_agent_that_it_begins_with():
     np.testing.assert_allclose(*actions, atol=1e-6)
 
 
-def test_an_expert_that_cannot_be_told_each_hull_is_refused():
+def test_other_experts_are_rejected_with_drawn_vehicles():
     scenarios = ((PRESETS["cruise-storm"], 1.0),)
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
-    with pytest.raises(ValueError, match="so the network must see them"):
+    with pytest.raises(ValueError, match="so they must be inputs of the network"):
         check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
     with pytest.raises(ValueError, match="vehicles are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))

@@ -1,4 +1,4 @@
-"""The floor of measurement noise: a regression over all measurements at once finds it in the simulation too."""
+"""The estimation lower bound, compared with one linear regression over all measurements of simulated episodes."""
 
 import math
 from dataclasses import replace
@@ -22,24 +22,26 @@ from auv_gym.scenarios.exogenous import (
 )
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import STEADY_RMSE, Problem
 from baselines.control.privileged.solver import best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.runner import drawn
-from research.lower_bounds.floor.filter import located
-from research.lower_bounds.floor.model import FloorModel, has_floor
+from research.lower_bounds.estimation.filter import position_errors
+from research.lower_bounds.estimation.model import EstimationModel, has_bound
 
 
 @pytest.mark.parametrize("name", ["slow-noise", "cruise-storm"])
-def test_a_regression_over_all_measurements_finds_the_same(name):
-    """What is unknown of an episode: its start, the gusts' numbers and the waves' phases; differences of the simulation
-    by each of them, and the covariance that is left of them by one linear regression."""
+def test_a_regression_over_all_measurements_gives_the_same_bound(name):
+    """The unknown numbers of an episode are its start, the inputs of the gusts and the phases of the waves.
+
+    Their derivatives are differences of simulations, and one linear regression gives their posterior covariance.
+    """
     scenario = replace(PRESETS[name], steps=12)
     episodes = drawn(scenario, 1, 5).episodes
     (episode,), steps = episodes, scenario.steps
     problem, truth = Problem.of(scenario, episodes), Truth.of(scenario, episodes)
-    course = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
+    trajectory = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
     p = Parameters.of([float(np.ravel(row)[0]) for row in leaves(truth.parameters)], scenario.parts)
     samples, stormy = truth.samples[..., 0], episode.waves is not None
     table = samples[:, :8]
@@ -50,18 +52,18 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
     normals = np.random.Generator(np.random.SFC64(episode.noise_seed)).standard_normal((steps + 1, 8))[:, GUSTS]
     phases = 3 * len(rows)
 
-    def played(pose, first, driven, shifts):
-        """Return poses and measurements at each instant, for changes of all that is unknown."""
-        turned = rows.copy()
+    def simulate(pose, first, driven, shifts):
+        """Return poses and measurements at each instant, for changes of the unknown numbers."""
+        shifted = rows.copy()
         for axis in range(3):
             amplitude = np.hypot(rows[:, 1 + 2 * axis], rows[:, 2 + 2 * axis])
             phase = np.arctan2(rows[:, 2 + 2 * axis], rows[:, 1 + 2 * axis]) + shifts[axis * len(rows) :][: len(rows)]
-            turned[:, 1 + 2 * axis], turned[:, 2 + 2 * axis] = amplitude * np.cos(phase), amplitude * np.sin(phase)
+            shifted[:, 1 + 2 * axis], shifted[:, 2 + 2 * axis] = amplitude * np.cos(phase), amplitude * np.sin(phase)
         gust, (state, force) = Gust(0.0, 0.0, 0.0, 0.0, 0.0), (tuple(pose), (0.0, 0.0))
         poses, measured = [], []
         for k in range(steps + 1):
             shock = normals[k] + (first if k == 0 else driven[k - 1])
-            load = wave_load(float(k), turned.tolist(), FLOATS) if stormy else (0.0, 0.0, 0.0)
+            load = wave_load(float(k), shifted.tolist(), FLOATS) if stormy else (0.0, 0.0, 0.0)
             current = (0.0, 0.0)
             if stormy:
                 gust = next_gust(gust, shock.tolist(), weather, FLOATS)
@@ -71,7 +73,7 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
                 np.testing.assert_allclose([*current, *load], [*samples[k][CURRENT], *samples[k][LOAD]], atol=1e-9)
             sample[CURRENT], sample[LOAD] = current, load
             if k:
-                command = course.commands[k - 1, :, 0].tolist()
+                command = trajectory.commands[k - 1, :, 0].tolist()
                 state, force = moved(state, force, command, sample, p, FLOATS)
             poses.append(state)
             plant = Plant(*state, *force, 0.0, 0.0, None)
@@ -83,7 +85,7 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
 
     def at(unknown):
         pose, first, driven, shifts, _ = np.split(unknown, sizes)
-        return played(start + pose, first, driven.reshape(steps, 2), shifts)
+        return simulate(start + pose, first, driven.reshape(steps, 2), shifts)
 
     count, h = sizes[-1], 1e-5
     ends = [[at(sign * h * one) for sign in (1, -1)] for one in np.eye(count)]
@@ -99,24 +101,25 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
     for k in range(steps // STEADY_RMSE, steps):
         H = by_output[: k + 1].reshape(-1, count)
         R = np.diag(np.tile(np.square(scenario.sensors.noise), k + 1))
-        left = prior - prior @ H.T @ np.linalg.solve(H @ prior @ H.T + R, H @ prior)
-        expected.append(np.trace(by_pose[k + 1, :2] @ left @ by_pose[k + 1, :2].T))
-    found = located(FloorModel.of(scenario, episodes), [0], samples=4000)
+        posterior = prior - prior @ H.T @ np.linalg.solve(H @ prior @ H.T + R, H @ prior)
+        expected.append(np.trace(by_pose[k + 1, :2] @ posterior @ by_pose[k + 1, :2].T))
+    found = position_errors(EstimationModel.of(scenario, episodes), [0], samples=4000)
     assert found.square[0] == pytest.approx(np.mean(expected), rel=1e-5)
     assert 0.8 * np.sqrt(found.square[0]) < found.steady_rmse[0] < np.sqrt(found.square[0])
 
 
-def test_the_errors_of_the_filter_are_as_large_as_it_says():
+def test_the_errors_of_the_filter_agree_with_its_covariance():
     scenario = PRESETS["cruise-storm"]
-    model = FloorModel.of(replace(scenario, steps=60), drawn(scenario, 3, 11).episodes)
-    found = located(model, [1, 2, 3], samples=1)
-    many = np.array([located(model, [3 * i, 3 * i + 1, 3 * i + 2], samples=1).steady_rmse for i in range(100)])
+    model = EstimationModel.of(replace(scenario, steps=60), drawn(scenario, 3, 11).episodes)
+    found = position_errors(model, [1, 2, 3], samples=1)
+    seeds = ([3 * i, 3 * i + 1, 3 * i + 2] for i in range(100))
+    many = np.array([position_errors(model, own, samples=1).steady_rmse for own in seeds])
     np.testing.assert_allclose((many**2).mean(axis=0), found.square, rtol=0.2)
 
 
-def test_without_noise_in_all_measurements_there_is_no_floor():
-    assert [name for name in PRESETS if has_floor(PRESETS[name])] == [
+def test_without_noise_in_all_measurements_there_is_no_bound():
+    assert [name for name in PRESETS if has_bound(PRESETS[name])] == [
         *(f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in ("noise", "storm"))
     ]
-    with pytest.raises(ValueError, match="slow-calm has no floor"):
-        FloorModel.of(PRESETS["slow-calm"], ())
+    with pytest.raises(ValueError, match="slow-calm has no estimation lower bound"):
+        EstimationModel.of(PRESETS["slow-calm"], ())

@@ -1,9 +1,9 @@
-"""Seas as points: what a storm draws as coordinates, and the scenario at a point, the same for every run of it.
+"""The search space of the falsification: disturbances as coordinates, and the scenario at a point.
 
-A coordinate is where in its range a quantity lies: 0 is calm water and the known vehicle, +-1 are the ends of the range
-that the presets' storm, or the adverse storm of training, draws from. The severity of a sea is its largest coordinate,
-so all seas of severity s lie in the ranges of the storm, each stretched s times about calm water. Gusts, phases of the
-waves and noise are no coordinates: they are drawn anew for each episode of a sea.
+A coordinate is the position of a quantity in its range: 0 is calm water and the known vehicle, and +-1 are the ends of
+the range in the storm of the presets, or in the storm of the training with sensor and actuator faults. The severity of
+a point is its largest coordinate: all points of severity s are in the ranges of the storm, each stretched s times about
+calm water. Gusts, phases of the waves and noise are not coordinates: they are drawn for each episode.
 """
 
 from __future__ import annotations
@@ -23,24 +23,25 @@ from auv_gym.scenarios.mixtures import SLEW_TIMES, adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
-SEA_KINDS = ("storm", "adverse")
-"""What ranges are stretched: those of a regime's storm, on slewing thrusters; or those of its adverse storm too."""
-TOP_SPEED = 2.0  # [m/s] no vehicle is asked to be faster, however severe the sea
-_LEAST = 0.2  # [1] smallest factor of a mass, drag or share
+KINDS = ("storm", "adverse")
+"""Storms whose ranges are stretched: that of the presets with slewing actuators, or also that with sensor and actuator
+faults."""
+TOP_SPEED = 2.0  # [m/s] largest speed of the path at any severity
+_LEAST = 0.2  # [1] smallest factor of a mass, a drag or a limit
 
 
 @dataclass(frozen=True)
 class Range:
-    """A quantity: its value in calm water, and at the two ends of its range."""
+    """Range of a quantity: its value in calm water and at the two ends."""
 
     calm: float
     low: float  # value at -1
     high: float  # value at +1
-    least: float = -math.inf  # what no severity goes below
-    most: float = math.inf  # or above
+    least: float = -math.inf  # smallest value at any severity
+    most: float = math.inf  # largest value at any severity
 
     def at(self, x: float) -> float:
-        """Return the value at a coordinate; where the range has one end, its sign says nothing."""
+        """Return the value at a coordinate; in a range with one end, the sign of the coordinate has no effect."""
         if self.low == self.calm:
             x = abs(x)
         end = self.high if x >= 0 else self.low
@@ -59,15 +60,19 @@ def _upwards(interval: Interval, most: float = math.inf) -> Range:
     return Range(0.0, 0.0, high, 0.0, most)
 
 
+def _storm(speed_range: str, kind: str) -> Scenario:
+    return PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
+
+
 def ranges(speed_range: str, kind: str) -> dict[str, Range]:
-    """Return the ranges of a kind of sea, by name; they are read from the storm's and the adverse storm's scenarios.
+    """Return the ranges of the coordinates by name, from the scenarios of the storms.
 
     Raises:
         ValueError: there is no such kind.
     """
-    if kind not in SEA_KINDS:
-        raise ValueError(f"unknown kind of sea {kind!r}; allowed are {', '.join(SEA_KINDS)}")
-    storm = PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind {kind!r}; allowed are {', '.join(KINDS)}")
+    storm = _storm(speed_range, kind)
     current, waves, mismatch, path, start = storm.current, storm.waves, storm.mismatch, storm.path, storm.start
     assert isinstance(current, RandomCurrent)
     assert isinstance(waves, RandomWaves)
@@ -92,11 +97,11 @@ def ranges(speed_range: str, kind: str) -> dict[str, Range]:
         "start_psi": _symmetric(start.psi_e, -math.pi, math.pi),
         "start_surge": Range(1.0, 1.0, float(np.min(start.surge)), 0.0),
     }
-    return found if kind == "storm" else {**found, **_wrong(storm)}
+    return found if kind == "storm" else {**found, **_fault_ranges(storm)}
 
 
-def _wrong(storm: Scenario) -> dict[str, Range]:
-    """Return the ranges of what is not as told in an adverse storm."""
+def _fault_ranges(storm: Scenario) -> dict[str, Range]:
+    """Return the ranges of the faults in a storm with sensor and actuator faults."""
     s, act, current, waves = storm.sensors, storm.actuators, storm.current, storm.waves
     assert isinstance(current, RandomCurrent)
     assert isinstance(waves, RandomWaves)
@@ -116,31 +121,30 @@ def _wrong(storm: Scenario) -> dict[str, Range]:
 
 
 DIRECTION = "direction"
-"""The coordinate of the current's direction: half turns, whatever the severity."""
+"""Coordinate of the current's direction, in half turns at any severity."""
 
 
-def names(speed_range: str, kind: str) -> tuple[str, ...]:
-    """Return the names of a sea's coordinates; the last one is the current's direction."""
+def coordinate_names(speed_range: str, kind: str) -> tuple[str, ...]:
+    """Return the names of the coordinates; the last one is the direction of the current."""
     return (*ranges(speed_range, kind), DIRECTION)
 
 
-def sea(speed_range: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
-    """Return the scenario of a sea.
+def scenario_at(speed_range: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
+    """Return the scenario at a point.
 
     Args:
         speed_range: "slow" or "cruise".
-        kind: one of `SEA_KINDS`.
-        name: of the scenario.
-        severity: how far it lies from calm water, in units of the storm's ranges.
-        towards: where it lies, a coordinate in [-1, 1] for each of `names`.
+        kind: one of `KINDS`.
+        name: the name of the scenario.
+        severity: distance of the point from calm water, in units of the ranges.
+        towards: direction of the point, a coordinate in [-1, 1] for each of `coordinate_names`.
 
     Raises:
-        ValueError: there is no such sea: the vehicle could not be integrated, for example.
+        ValueError: there is no such scenario, for example because its vehicle is too stiff for the integration.
     """
-    known = ranges(speed_range, kind)
+    storm = _storm(speed_range, kind)
     *place, direction = map(float, towards)
-    v = {key: r.at(severity * x) for (key, r), x in zip(known.items(), place, strict=True)}
-    storm = PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
+    v = {key: r.at(severity * x) for (key, r), x in zip(ranges(speed_range, kind).items(), place, strict=True)}
     mismatch: dict[str, Any] = {key: v[key] for key in ("mass", "ratio", "m33", "d11", "d22", "d33", "quadratic")}
     turn = v["turn_rate"]
     path = PATHS["line"](v["speed"]) if abs(turn) < 1e-4 else PATHS["circle"](v["speed"], turn)
@@ -157,7 +161,7 @@ def sea(speed_range: str, kind: str, name: str, severity: float, towards: Sequen
 
 
 def _current(storm: Scenario, v: Mapping[str, float], direction: float) -> RandomCurrent:
-    """Return the current; it may be as fast as its severity says."""
+    """Return the current of the storm with the values of a point."""
     own = storm.current
     assert isinstance(own, RandomCurrent)
     return replace(own, speed=v["current"], direction=direction, gust=v["gust"], shear=v.get("shear", 0.0))
@@ -175,14 +179,14 @@ def _sensors(storm: Scenario, v: Mapping[str, float]) -> Any:
     changes: dict[str, Any] = {
         name: v["noise"] * getattr(own, name) for name in ("position", "heading", "velocity", "yaw_rate")
     }
-    wrong = "heading_bias", "velocity_bias", "yaw_rate_bias", "outages"
-    changes |= {name: v[name] for name in wrong if name in v}
+    faults = "heading_bias", "velocity_bias", "yaw_rate_bias", "outages"
+    changes |= {name: v[name] for name in faults if name in v}
     return replace(own, **changes)
 
 
 def _actuators(storm: Scenario, v: Mapping[str, float]) -> Any:
     own = storm.actuators
     slew = max(v["slew"], 1e-2)  # [s] from zero to full force
-    wrong: dict[str, Any] = {name: v[name] for name in ("effectiveness", "reach", "delay") if name in v}
+    faults: dict[str, Any] = {name: v[name] for name in ("effectiveness", "reach", "delay") if name in v}
     rates = {"F_u_rate": own.F_u_max / slew, "F_r_rate": own.F_r_max / slew}
-    return replace(own, lag=v["lag"], **rates, **wrong)
+    return replace(own, lag=v["lag"], **rates, **faults)

@@ -1,4 +1,4 @@
-"""Vehicles of six degrees of freedom: against Fossen's matrix form, against the plane, and in the user's simulator."""
+"""Vehicles with six degrees of freedom: compared with Fossen's matrix form, the plane, and another simulator."""
 
 import json
 import math
@@ -23,11 +23,11 @@ from baselines.tools.command_line import run
 from research.transfer import command, comparison, otter, remus100, trials
 from research.transfer.bodies import bodies, deviation
 from research.transfer.comparison import concordance, pooled
-from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, SpatialMotion, coriolis, cross_flow, place_rates
-from research.transfer.worlds import SIX_DOF_MODELS, Own
+from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, SpatialMotion, coriolis, cross_flow, place_rates
 
 ROOT = Path(__file__).parents[2]
-NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_INPUT = Inputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 REFERENCE = {"remus100": remus_acceleration, "otter": otter_acceleration}
@@ -42,7 +42,7 @@ def test_accelerations_are_those_of_the_matrix_form(name):
         nu = rng.normal(size=6) * [1, 0.3, 0.2, 0.2, 0.2, 0.3]
         act = rng.uniform(-1, 1, len(SIZES[name])) * SIZES[name]
         loops = [0.0] * (model.size - 12 - len(act))
-        rates = model.rates([*eta, *nu, *act, *loops], act.tolist(), NOWHERE, AS_PUBLISHED, FLOATS)
+        rates = model.rates([*eta, *nu, *act, *loops], act.tolist(), NO_INPUT, AS_PUBLISHED, FLOATS)
         wanted = REFERENCE[name](eta, nu, act)
         np.testing.assert_allclose(rates[6:12], wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
         np.testing.assert_allclose(rates[12 : 12 + len(act)], 0, atol=1e-12)
@@ -65,16 +65,16 @@ def test_coriolis_forces_do_no_work():
     assert abs(nu @ np.array(coriolis((A @ A.T) @ nu, nu))) < 1e-12
 
 
-def test_strips_come_to_the_integral():
+def test_strips_approximate_the_integral():
     x = np.linspace(-0.8, 0.8, 20001)
     flow = 0.1 + 0.3 * x
     per_metre = -0.5 * 1026 * 0.19 * 1.19772 * np.abs(flow) * flow
     Y, N = cross_flow(0.1, 0.3, 1.6, 0.19, 0.19, 1026.0)
-    assert Y == pytest.approx(np.trapezoid(per_metre, x), rel=0.15)  # 21 strips of a twentieth: the ends count whole
+    assert Y == pytest.approx(np.trapezoid(per_metre, x), rel=0.15)  # 21 strips of a twentieth of the length
     assert N == pytest.approx(np.trapezoid(x * per_metre, x), rel=0.2)
 
 
-def test_inner_loops_give_what_is_asked():
+def test_inner_loops_give_the_commanded_force():
     F, speed = np.linspace(-20, 40, 61), 0.8
     n = remus100.revolutions(F, remus100.WAKE * speed, ARRAYS) / 60
     T = 0.9 * 1026 * 0.14**4 * remus100.propeller(n, remus100.WAKE * speed, remus100.KT_0, remus100.KT_J, ARRAYS)
@@ -93,21 +93,21 @@ def test_inner_loops_give_what_is_asked():
             assert port + starboard == pytest.approx(F_u)
 
 
-class PlaneWorld:
-    """The equations of the plane as another simulator's: what the adapter must not change."""
+class PlanarSimulator:
+    """A `Simulator` with the planar equations of motion, for which the adapter must not change the results."""
 
     def __init__(self, known):
         self.known = known
 
-    def place(self, lanes, states, deviations):
+    def place(self, indices, states, deviations):
         assert np.allclose(deviations, np.array(AS_PUBLISHED)[:, None])
         self.states = states.copy()
 
-    def advance(self, outside, dt):
-        F_u, F_r, V_x, V_y, X, Y, N = outside
+    def advance(self, inputs, dt):
+        F_u, F_r, V_x, V_y, X, Y, N = inputs
         state = rk4_step(tuple(self.states), (F_u + X, Y, F_r + N), self.known.coefficients, dt, (V_x, V_y), ARRAYS)
         self.states = np.array(state)
-        return self.states, outside[:2]
+        return self.states, inputs[:2]
 
     def kept(self):
         return getattr(self, "states", None)
@@ -116,37 +116,36 @@ class PlaneWorld:
         self.states = kept
 
 
-def test_the_adapter_changes_nothing_but_what_moves():
+def test_with_the_planar_equations_the_adapter_changes_nothing():
     scenario = replace(as_scenario("cruise-waves@remus100"), current=as_scenario("cruise-current@remus100").current)
     cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", scenario.vehicle)
     plain = rollout(policy, scenario, cell.episodes)
-    other = rollout(
-        policy, scenario, cell.episodes, bodies=bodies(lambda _: PlaneWorld(scenario.vehicle), scenario.vehicle)
-    )
+    made = bodies(lambda _: PlanarSimulator(scenario.vehicle), scenario.vehicle)
+    other = rollout(policy, scenario, cell.episodes, bodies=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
 
 
-def test_a_world_goes_back_where_it_was():
-    world = Own("otter", 2)
-    world.place([0, 1], np.zeros((6, 2)), np.repeat(np.array(AS_PUBLISHED)[:, None], 2, 1))
-    kept, push = world.kept(), np.array(NOWHERE._replace(F_u=40.0))[:, None].repeat(2, 1)
-    first, forces = world.advance(push, 1.0)
+def test_a_simulator_can_be_restored():
+    simulator = SixDofSimulator("otter", 2)
+    simulator.place([0, 1], np.zeros((6, 2)), np.repeat(np.array(AS_PUBLISHED)[:, None], 2, 1))
+    kept, push = simulator.kept(), np.array(NO_INPUT._replace(F_u=40.0))[:, None].repeat(2, 1)
+    first, forces = simulator.advance(push, 1.0)
     np.testing.assert_allclose(forces[0], 40, rtol=1e-3)
-    world.restore(kept)
-    np.testing.assert_array_equal(world.advance(push, 1.0)[0], first)
+    simulator.restore(kept)
+    np.testing.assert_array_equal(simulator.advance(push, 1.0)[0], first)
 
 
-def test_a_deviation_is_that_of_the_plane():
-    """Twice the masses and the drag, under twice the force, move alike; and factors are read off a drawn vehicle."""
-    plain, heavy = Own("otter", 1), Own("otter", 1)
+def test_deviations_scale_masses_and_drag():
+    """Twice the masses, drag and force give the same motion; the factors are those of a drawn vehicle."""
+    plain, heavy = SixDofSimulator("otter", 1), SixDofSimulator("otter", 1)
     start = np.array([[0, 0, 0, 0.5, 0, 0]]).T
     plain.place([0], start, np.array(AS_PUBLISHED)[:, None])
     level = plain.rows[2:5].copy()
     plain.rows[2:5] = 0
     heavy.place([0], start, np.array(Deviation(2, 2, 2, 2, 2, 2, 0, 0, 0))[:, None])
     heavy.rows[2:5] = level * 0
-    push = np.array(NOWHERE._replace(X=30.0, N=4.0))[:, None]
+    push = np.array(NO_INPUT._replace(X=30.0, N=4.0))[:, None]
     np.testing.assert_allclose(heavy.advance(2 * push, 0.02)[0][3::2], plain.advance(push, 0.02)[0][3::2], rtol=2e-3)
     known = as_scenario("cruise-mismatch@otter").vehicle.coefficients
     true = Coefficients(*known)._replace(m11=known.m11 * 1.2, d22=known.d22 * 0.8, Y_vv=known.Y_vv * 0.8 + 7)
@@ -154,7 +153,7 @@ def test_a_deviation_is_that_of_the_plane():
     np.testing.assert_allclose(deviation(true, known), wanted, atol=1e-9)
 
 
-def test_ranks_and_means_are_what_statistics_says():
+def test_ranks_and_means_agree_with_scipy():
     rng = np.random.default_rng(4)
     a, b = rng.normal(size=(2, 9))
     assert concordance(a, b) == pytest.approx(stats.kendalltau(a, b).statistic)
@@ -165,11 +164,11 @@ def test_ranks_and_means_are_what_statistics_says():
 
 
 @pytest.mark.parametrize("name", REFERENCE)
-def test_logs_are_those_of_a_vehicle(name, tmp_path):
+def test_the_command_writes_the_log_of_a_trial(name, tmp_path):
     assert run(command.main, command.PROGRAM, ["--vehicle", name, "--log", str(tmp_path / "log.csv")]) == 0
     kept = Log.load(tmp_path / "log.csv")
     np.testing.assert_allclose(kept.measured, trials.log(name).measured, atol=1e-6)
-    if name == "otter":  # the tutorial's log, as its command writes it
+    if name == "otter":  # the log of the tutorial, which its command writes
         np.testing.assert_allclose(Log.load(ROOT / "docs/tutorials/otter.csv").measured, kept.measured, atol=1e-6)
     assert np.ptp(kept.measured[:, 2]) > 1.0
     assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
@@ -177,8 +176,8 @@ def test_logs_are_those_of_a_vehicle(name, tmp_path):
 
 def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(trials, "turned", lambda _: {"straight": [], "turns": []})
-    monkeypatch.setattr(comparison, "WORLD_VARIANTS", {"otter": {"as published": otter.OTTER}})
+    monkeypatch.setattr(trials, "steady_motion", lambda _: {"straight": [], "turns": []})
+    monkeypatch.setattr(comparison, "SIX_DOF_VARIANTS", {"otter": {"as published": otter.OTTER}})
     arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
     assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
     record = json.loads(Path("found.json").read_text(encoding="utf-8"))["otter"]
@@ -189,9 +188,9 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     assert "Kendall's tau" in capsys.readouterr().out
     space, plane = (record["policies"]["los-pid"][key] for key in ("space_m", "plane_m"))
     assert record["causes"]["growth"]["as published"]["los-pid"] == pytest.approx(space / plane, rel=1e-3)
-    before = {file: file.stat().st_mtime_ns for file in Path("runs/elsewhere").rglob("*.json")}
+    before = {file: file.stat().st_mtime_ns for file in Path("runs/transfer").rglob("*.json")}
     assert len(before) == 2
-    monkeypatch.setattr(command, "caused", lambda *_: record["causes"])
+    monkeypatch.setattr(command, "growth_of_variants", lambda *_: record["causes"])
     assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
     assert before == {file: file.stat().st_mtime_ns for file in before}
 
@@ -204,7 +203,7 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
         (["--episodes", "1"], "--episodes must be 2 or more"),
     ],
 )
-def test_a_mistake_is_one_line(arguments, says, capsys):
+def test_wrong_usage_is_one_line(arguments, says, capsys):
     assert run(command.main, command.PROGRAM, arguments) == 2
     err = capsys.readouterr().err
     assert says in err
@@ -216,7 +215,7 @@ def kept():
     return json.loads(comparison.TRANSFER_FILE.read_text(encoding="utf-8"))
 
 
-def test_what_the_page_says_in_words_holds(kept):
+def test_the_sentences_of_the_page_are_true(kept):
     remus, boat = kept["remus100"], kept["otter"]
     assert max(remus["tau"]["all"], boat["tau"]["all"]) < comparison.TAU
     for turn in remus["trials"]["turns"]:

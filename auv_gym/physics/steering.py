@@ -1,0 +1,61 @@
+"""Propeller and rudder at the stern: the forces that revolutions, or a thrust, and a rudder angle bring about.
+
+In the manner of the MMG model (H. Yasukawa and Y. Yoshimura, "Introduction of MMG standard method for ship maneuvering
+predictions", J. Mar. Sci. Technol. 20:37-52, 2015), in its simplest form: the rudder works in the wake of the body, and
+the propeller speeds that up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from auv_gym.physics.dynamics import Load
+from auv_gym.physics.namespaces import Number
+
+_TINY = 1e-8  # [m^2/s^2] square of an inflow at which the root still has a slope
+
+
+class Stern(NamedTuple):
+    """Coefficients of a propeller and of a rudder or fins: floats, or rows of shape (N,)."""
+
+    T_nn: Number  # [kg m] thrust per squared revolutions
+    T_nu: Number  # [kg] thrust that revolutions lose per surge speed
+    side: Number  # [kg/m] side force of the rudder per squared speed of its inflow and sine of its angle
+    arm: Number  # [m] distance of the rudder behind the origin
+    drag: Number  # [kg/m] drag of the rudder per squared speed of its inflow and squared sine of its angle
+    wash: Number  # [m/kg] squared speed that the propeller's slipstream adds to the inflow per thrust ahead
+    wake: Number  # [1] squared speed that the inflow gains per speed ahead and sideways speed at the stern
+    straight: Number  # [1] share of the sideways speed at the stern that reaches the rudder
+    uneven: Number  # [1] the same of its magnitude, since a propeller turns one way
+    neutral: Number  # [rad] angle of the rudder at which it gives no side force
+
+
+def thrust(n: Number, u: Number, stern: Stern) -> Number:
+    """Return the thrust [N] of n revolutions [1/s] at a surge speed u [m/s] through water (Fossen 2021, chapter 9)."""
+    return (stern.T_nn * n - stern.T_nu * u) * abs(n)
+
+
+def stern_load(T: Number, angle: Number, u: Number, v: Number, r: Number, stern: Stern, ns: Any = math) -> Load:
+    """Return surge force [N], sway force [N] and yaw moment [N m] of propeller and rudder.
+
+    A positive angle turns to positive r. With a thrust T ahead and a sideways speed of the stern w = v - arm r the
+    square of the inflow is q = u |u| + wash T + wake |u w|, since the rudder is less in the wake of the body where the
+    stern slips. The side force is side (q sin(angle - neutral) - sqrt(q) (straight w + uneven |w|)): the slip turns the
+    inflow. Without a propeller the second part is lift, see `auv_gym.physics.vehicle.Vehicle`.
+
+    Args:
+        T: thrust that acts on the vessel [N].
+        angle: of the rudder [rad].
+        u: surge velocity through water [m/s].
+        v: sway velocity through water [m/s].
+        r: yaw rate [rad/s].
+        stern: the coefficients.
+        ns: the namespace of the numbers.
+    """
+    w = v - stern.arm * r
+    inflow = u * abs(u) + stern.wash * 0.5 * (T + abs(T)) + stern.wake * abs(u * w)
+    sine = ns.sin(angle - stern.neutral)
+    slip = ns.sqrt(abs(inflow) + _TINY) * (stern.straight * w + stern.uneven * abs(w))
+    force = stern.side * (inflow * sine - slip)
+    return T - stern.drag * inflow * sine * sine, -force, stern.arm * force

@@ -1,0 +1,114 @@
+"""Predictions of measured runs by models that were fitted to other runs of the same vessel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.identification import Identified, Log, identify
+from baselines.identification.begin import is_current
+from baselines.identification.columns import Format
+from baselines.identification.held_out import PREDICTORS, HeldOut, held_out, rms
+from baselines.identification.log import joined
+from baselines.identification.model import LogModel
+from baselines.tools.command_line import UsageError
+
+BIN, BINS = 10.0, 6
+"""Length [s] and number of the parts of a prediction of which errors are recorded."""
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A vessel with measured runs in a folder of the logs."""
+
+    files: str  # pattern of its runs
+    form: str  # name of their format
+    mass: float  # [kg]
+    length: float  # [m]
+    folds: int  # parts of the runs that are left out in turn
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What runs with a rudder do not show: added masses by the rules that `identify` prints."""
+        m, L = self.mass, self.length
+        return {"m11": 1.05 * m, "m22": 1.8 * m, "m33": 0.1 * m * L * L, "arm": 0.5 * L}
+
+
+VESSELS: Mapping[str, Vessel] = {
+    "kvlcc2-hsva": Vessel("Z_*.dat", "kvlcc2", 3272.0, 7.0, 7),
+    "esso-osaka": Vessel("[tz]*.csv", "esso-osaka", 244.6, 3.0, 11),
+}
+"""By the folder of their runs."""
+
+
+def runs_of(name: str, folder: Path) -> dict[str, Log]:
+    """Return the runs of a vessel by the names of their files.
+
+    Raises:
+        UsageError: there are fewer files than folds.
+    """
+    vessel = VESSELS[name]
+    files = sorted((folder / name).glob(vessel.files))
+    if len(files) < vessel.folds:
+        raise UsageError(f"{folder / name} has {len(files)} files {vessel.files}; it must have {vessel.folds} or more")
+    form = Format.named(vessel.form)
+    return {file.stem: Log.load(file, form) for file in files}
+
+
+def fitted(name: str, logs: Sequence[Log]) -> Identified:
+    """Return the model that is fitted to some runs of a vessel, in water without a current."""
+    log = joined(logs)
+    still = {name: 0.0 for name in LogModel(log, np.array(log.starts)).names if is_current(name)}
+    return identify(log, known=VESSELS[name].known | still)
+
+
+def cross_validated(name: str, folder: Path) -> dict[str, Any]:
+    """Return how well runs are predicted by models that were fitted to the other ones.
+
+    Args:
+        name: of the vessel.
+        folder: of all logs.
+    """
+    logs, folds = runs_of(name, folder), VESSELS[name].folds
+    results: list[tuple[list[str], Identified, HeldOut]] = []
+    for k in range(folds):
+        out = list(logs)[k::folds]
+        found = fitted(name, [log for run, log in logs.items() if run not in out])
+        results.append((out, found, held_out(found, joined([logs[run] for run in out]))))
+        print(f"{name}: {', '.join(out)}: {math.degrees(results[-1][2].rms['model'][0]):.2f} degrees", flush=True)
+    runs = {
+        out[run]: [result.errors["model"][result.run == run]] for out, _, result in results for run in range(len(out))
+    }
+    every = {
+        predictor: np.concatenate([result.errors[predictor] for *_, result in results]) for predictor in PREDICTORS
+    }
+    ages = np.concatenate([result.age for *_, result in results])
+    bins = np.minimum((ages / BIN).astype(np.int64), BINS - 1)
+    return {
+        "runs": len(logs),
+        "minutes": sum(log.duration for log in logs.values()) / 60,
+        "misfit": sum(found.misfit for _, found, _ in results),
+        "folds": folds,
+        "rms": {predictor: _rms(rows) for predictor, rows in every.items()},
+        "inside": np.concatenate([result.inside for *_, result in results]).mean(axis=0).tolist(),
+        "growth_deg": {
+            predictor: [_rms(rows[bins == k])["heading_deg"] for k in np.unique(bins)]
+            for predictor, rows in every.items()
+        },
+        "by_run": {run: _rms(rows[0]) for run, rows in sorted(runs.items()) if len(rows[0])},
+        "manoeuvres": [
+            {"run": out[m.run], "name": m.name, "measured": m.measured, "predicted": m.predicted}
+            for out, _, result in results
+            for m in result.manoeuvres
+        ],
+    }
+
+
+def _rms(errors: Any) -> dict[str, float]:
+    psi, u, place = rms(errors)
+    return {"points": len(errors), "heading_deg": math.degrees(psi), "speed_m_s": u, "place_m": place}

@@ -1,0 +1,61 @@
+"""Vehicles with cross-flow: the yaw rate of the plan, and environments of one and of many vehicles."""
+
+import math
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from matrix_form import matrix_form
+
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.crossed import yaw_rate
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import Circle
+from auv_gym.planning.planner import plan
+from auv_gym.planning.sideslip import PathRates
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+
+CROSSED = replace(
+    PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0, X_vr=10.0, Y_rv=60.0, Y_vr=20.0, Y_rr=10.0, N_vv=15.0, N_vr=80.0
+)
+
+
+@given(st.floats(0.2, 2.0), st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5))
+def test_at_the_yaw_rate_of_the_plan_no_sway_force_is_missing(v_p, omega, v_p_dot, w):
+    r, there = yaw_rate(PathRates(v_p, 0.3, omega, v_p_dot, 0.0, 0.0), w, CROSSED.acting, FLOATS)
+    assume(there)
+    cosine = math.sqrt(1 - w * w)
+    v_dot = matrix_form([0.0, 0.0, 0.3, v_p * cosine, v_p * w, r], (0.0, 0.0, 0.0), CROSSED)[4]
+    assert v_dot == pytest.approx(v_p_dot * w + v_p * cosine * (omega - r), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["cruise-calm", "slow-storm"])
+def test_many_vehicles_with_cross_flow_are_as_many_single_ones(name):
+    scenario = replace(PRESETS[name], vehicle=CROSSED, steps=60)
+    many = gym.make_vec("UnderactuatedAUVTrack-v0", 2, "vector_entry_point", scenario=scenario)
+    seen, _ = many.reset(seed=3)
+    for i in range(2):
+        one, rng = gym.make("UnderactuatedAUVTrack-v0", scenario=scenario), np.random.default_rng(0)
+        np.testing.assert_array_equal(one.reset(seed=3 + i)[0], seen[i])
+        many.reset(seed=3)
+        for _ in range(50):
+            actions = rng.uniform(-0.3, 0.3, (2, 2)).astype(np.float32)
+            np.testing.assert_array_equal(one.step(actions[i])[0], many.step(actions)[0][i])
+
+
+def test_a_path_that_no_yaw_rate_follows_is_refused():
+    strong = replace(CROSSED, Y_vv=300.0, N_rr=300.0, Y_rr=150.0)
+    with pytest.raises(InfeasibleReferenceError, match=r"no yaw rate balances|the sideslip exceeds"):
+        plan(Circle(1.0, 0.6), strong, 0.1 * np.arange(100))
+
+
+def test_an_episode_of_a_vehicle_with_cross_flow_needs_a_scenario_that_has_one():
+    episode = replace(PRESETS["cruise-calm"].draw(np.random.default_rng(0)), vehicle=CROSSED)
+    with pytest.raises(ValueError, match="the episode has a vehicle with cross-flow"):
+        PRESETS["cruise-calm"].parameters(episode)
+    assert Scenario.from_dict(replace(PRESETS["cruise-calm"], vehicle=CROSSED).to_dict()).vehicle == CROSSED

@@ -1,0 +1,226 @@
+"""Tests of videos: trajectories against the environment, frames by their pixels, the typical episode, files, errors."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from PIL import Image
+
+from auv_gym.rendering.canvas import SEA_COLOUR
+from auv_gym.scenarios.presets import PRESETS
+from baselines import make_policy
+from baselines.evaluation.runner import drawn, run_all
+from baselines.tools.command_line import UsageError
+from baselines.tools.figure_style import look
+from baselines.tools.workers import Workers
+from baselines.video import command, make_video
+from baselines.video.files import save_video
+from baselines.video.pairs import comparisons, typical_episode
+from baselines.video.video import _rgb, label_of, video_of
+
+pytest.importorskip("pygame")
+
+ROOT = Path(__file__).parents[2]
+TRIO = ("backstepping", "nmpc", "helm")
+PAIR = ("backstepping", "apg-cruise")
+COLOURS = [_rgb(look(policy, PAIR).colour) for policy in PAIR]
+
+
+@pytest.fixture(scope="module")
+def storm():
+    return video_of(PAIR, "cruise-storm", 3, size=(640, 400))
+
+
+def near(frame, color, tolerance=30):
+    """Return the mask of the pixels that have about this colour."""
+    return np.abs(frame.astype(int) - color).max(axis=-1) <= tolerance
+
+
+def test_a_trajectory_is_the_episode_of_the_scalar_environment(storm):
+    for trajectory in storm.trajectories:
+        env, policy = (
+            gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm"),
+            make_policy(trajectory.policy),
+        )
+        observation, info = env.reset(seed=3)
+        memory, first = None, np.array([True])
+        for k in range(300):
+            assert trajectory.error[k] == pytest.approx(info["position_error"], abs=1e-9)
+            angle = trajectory.state[k, 2] - env.unwrapped.state[2]
+            assert np.delete(trajectory.state[k], 2) == pytest.approx(np.delete(env.unwrapped.state, 2), abs=1e-9)
+            assert np.cos(angle) == pytest.approx(1.0)
+            assert trajectory.current[k] == pytest.approx(env.unwrapped.current, abs=1e-12)
+            action, memory = policy.predict(observation, memory, first)
+            observation, *_, info = env.step(action)
+            first = np.array([False])
+        assert trajectory.time[k] == pytest.approx(0.1 * k)
+
+
+def test_trajectories_are_interpolated_between_control_instants(storm):
+    trajectory = storm.trajectories[0]
+    middle = trajectory.at(10.05)
+    assert middle.state == pytest.approx(0.5 * (trajectory.state[100] + trajectory.state[101]))
+    assert middle.error == pytest.approx(np.hypot(*(middle.state[:2] - middle.reference[:2])))
+    assert trajectory.at(10.0).state == pytest.approx(trajectory.state[100])
+    assert (trajectory.at(1e4).state == trajectory.state[-1]).all()
+    assert np.abs(np.diff(trajectory.state[:, 2])).max() < 1.0  # no jumps where the heading passes pi
+
+
+def test_vehicles_are_drawn_at_their_position_error(storm):
+    """The reference is in the centre of a panel; the distance of the vehicle from it is the position error."""
+    frame = next(iter([f for t, f in zip(storm.times, storm.frames(40), strict=False) if t > 8.0]))
+    time = next(t for t in storm.times if t > 8.0)
+    errors = [v.error.max() for v in storm.trajectories]
+    reach = 1.25 * max(errors)
+    panel = frame[60:289]  # below the title and the texts
+    for trajectory, colour, left in zip(storm.trajectories, COLOURS, (0, 322), strict=True):
+        rows, columns = np.nonzero(near(panel[:, left : left + 318], colour, 12))
+        instant = trajectory.at(time)
+        unit = 0.5 * min(318, 400 * 0.73 - 34 * 640 / 960 - 1.3) / max(reach, 3.0)  # [px/m]
+        x, y = unit * (instant.state[:2] - instant.reference[:2])
+        middle = 0.5 * (34 * 640 / 960 + 0.73 * 400) - 60
+        assert columns.mean() - 159 == pytest.approx(x, abs=14)  # the drawn outline has another centroid
+        assert middle - rows.mean() == pytest.approx(y, abs=14)
+
+
+def test_chart_grows_with_time(storm):
+    frames = list(storm.frames(30))
+    counts = [[near(p[300:], colour).sum() for p in frames] for colour in COLOURS]
+    for own in counts:
+        assert own[1] < own[15] < own[29] < own[0]  # the first frame shows the whole episode
+
+
+def test_frames_have_the_requested_size_number_and_speed():
+    video = video_of(["backstepping"], "slow-calm", 0, size=(301, 203), fps=10, speed=20.0, seconds=0.5)
+    frames = list(video.frames())
+    assert [p.shape for p in frames] == [(203, 301, 3)] * 7
+    assert video.times == pytest.approx([10.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+    assert near(frames[-1], SEA_COLOUR, 2).mean() > 0.3
+    np.testing.assert_array_equal(frames[2], list(video.frames(3))[2])
+
+
+def test_a_failed_vehicle_stays_at_its_last_position():
+    narrow = replace(PRESETS["cruise-storm"], lost_distance=3.0)
+    video = video_of(["backstepping", "open-loop"], narrow, 0, speed=30.0)
+    expert, failed = video.trajectories
+    assert (expert.failed, failed.failed) == (False, True)
+    assert failed.time[-1] < expert.time[-1]
+    assert len(list(video.frames())) == len(video.times) == 25
+
+
+def test_labels_of_policies():
+    assert [label_of(p) for p in (*TRIO, "apg-slow:fade", "lqi")] == [
+        "expert",
+        "EKF + MPC",
+        "trained agent",
+        "trained agent",
+        "controller",
+    ]
+
+
+def test_typical_episode_is_the_one_with_the_median_ratios():
+    first = np.array([1.0, 2.0, 1.0, 4.0, 1.0])
+    second = first / (2.0, 5.0, 3.0, 9.0, 4.0)  # ratios with the median 4, in the last episode
+    third = first / (20.0, 50.0, 30.0, 90.0, 31.0)
+    assert typical_episode({"a": first, "b": second}) == 4
+    assert typical_episode({"a": first, "b": second, "c": third}) == 4
+    assert typical_episode({"a": np.array([3.0, 1.0, 2.0])}) == 2
+
+
+def test_a_comparison_is_the_difference_of_paired_means():
+    (comparison,) = comparisons(
+        {"a": np.array([1.0, 2.0, 3.0]), "b": np.array([0.5, 0.5, 0.5])}, PRESETS["cruise-storm"]
+    )
+    assert comparison.means == (0.5, 2.0)
+    assert comparison.difference[0] < 1.5 < comparison.difference[1]
+    start = "steady-state RMSE of b: 0.500 m, of a: 2.000 m (3 paired episodes of cruise-storm; 95 %"
+    assert str(comparison).startswith(start)
+    (single,) = comparisons({"a": np.array([1.0]), "b": np.array([0.5])}, PRESETS["cruise-storm"])
+    assert str(single) == "steady-state RMSE of b: 0.500 m, of a: 1.000 m (1 paired episode of cruise-storm)"
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_loops_contain_their_frames(suffix, tmp_path, storm):
+    frames = list(storm.frames(4))
+    with Image.open(save_video(frames, tmp_path / f"folder/video{suffix}", 10)) as image:
+        assert (image.n_frames, image.size, image.info["loop"]) == (4, (640, 400), 0)
+        for k, frame in enumerate(frames):
+            image.seek(k)
+            shown = np.asarray(image.convert("RGB")).astype(int)
+            assert np.abs(shown - frame).mean() < 4.0
+            assert image.info["duration"] == (1500 if k == 3 else 100)
+
+
+def test_videos_contain_their_frames(tmp_path):
+    from imageio_ffmpeg import count_frames_and_secs
+    from moviepy.video.io.ffmpeg_reader import ffmpeg_parse_infos
+
+    file = str(make_video(tmp_path / "video.mp4", ["backstepping"], "slow-calm", size=(301, 203), seconds=0.5))
+    assert count_frames_and_secs(file)[0] == 8
+    about = ffmpeg_parse_infos(file)
+    assert (about["video_size"], about["video_fps"]) == ([300, 202], 12.0)
+
+
+def test_command_prints_comparisons_and_shows_the_typical_episode(tmp_path, capsys):
+    out = tmp_path / "video.gif"
+    words = "--policy backstepping apg-cruise --episodes 3 --seed 5 --jobs 1 --seconds 0.2 --size 320x200 --out"
+    assert command.main([*words.split(), str(out)]) == 0
+    printed, written = capsys.readouterr().out.splitlines()
+    runs = run_all(PAIR, (drawn(PRESETS["cruise-storm"], 3, 5),))
+    steady_rmses = {run.policy: run.measures.steady_rmse for run in runs}
+    assert printed == str(comparisons(steady_rmses, PRESETS["cruise-storm"])[0])
+    assert f"seed {5 + typical_episode(steady_rmses)}," in written
+    assert out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--out video.avi", r"must end in .mp4, .webp, .gif"),
+        ("--size 100x100", "--size is '100x100'; it must be WIDTHxHEIGHT, from 240x180 to 4096x4096"),
+        ("--size 400x300 --policy backstepping ekf lqi", "from 480x180"),
+        ("--size big", "WIDTHxHEIGHT"),
+        ("--speed 0", "--speed is 0.0; it must be positive"),
+        ("--speed nan", "--speed is nan; it must be positive"),
+        ("--seconds -1", "--seconds is -1.0; it must be positive"),
+        ("--speed 0.001", "at most 3600 are allowed"),
+        ("--fps 0", "--fps is 0; it must be an integer from 1 to 60"),
+        ("--episodes 0", "--episodes is 0"),
+        ("--jobs 0", "--jobs is 0"),
+        ("--policy nobody", "unknown policy 'nobody'"),
+        ("--policy a b c d e f", "--policy names 6 policies; a video shows 1 to 5"),
+        ("--scenario nowhere", "unknown scenario 'nowhere'"),
+    ],
+)
+def test_wrong_arguments_raise_usage_errors(words, message):
+    with pytest.raises(UsageError, match=message):
+        command.main(words.split())
+
+
+def test_message_without_pygame_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "pygame", None)
+    with pytest.raises(UsageError, match=r"drawing needs pygame: pip install .*\[render\]"):
+        command.main(["--seconds", "0.1", "--out", str(tmp_path / "video.gif")])
+
+
+def test_caption_of_the_video_in_the_documentation():
+    """The seed and the numbers of the caption are those of the command in the Makefile, and the file is small."""
+    caption = re.search(
+        r"\*The same storm.*?\*\n", (ROOT / "docs" / "videos.md").read_text(encoding="utf-8"), re.DOTALL
+    )[0]
+    caption = " ".join(caption.split())
+    steady_rmses = {
+        run.policy: run.measures.steady_rmse
+        for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), Workers(), math.inf)
+    }
+    for steady_rmse in steady_rmses.values():
+        assert f"{steady_rmse.mean():.3f} m" in caption
+    assert f"seed {typical_episode(steady_rmses)}" in caption
+    file = ROOT / "docs" / "images" / "storm.webp"
+    assert file.stat().st_size < 1.5e6
+    with Image.open(file) as image:
+        assert (image.size, image.n_frames, image.info["loop"]) == ((820, 470), 101, 0)
