@@ -26,7 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-# The same examples each time; `make test-all` tries more, other ones each time: --hypothesis-profile=thorough.
+# The same examples in each run. The nightly workflow tries more and other ones, with --hypothesis-profile=thorough.
 settings.register_profile("quick", derandomize=True, database=None, deadline=None)
 settings.register_profile("thorough", max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("quick")

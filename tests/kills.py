@@ -1,8 +1,8 @@
-"""Commands that are killed, interrupted, run out of space or run twice at once: what is left, and does it go on?
+"""Kills and interrupts commands, fills their disk, runs them twice at once, and checks that they can be repeated.
 
-`python tests/kills.py [--kills N] [--seed S]` kills trainings, evaluations, records of datasets and compilations at N
-random moments, gives the same commands again and compares what they end with, to the bit, with what they give without
-that. Then follow the other faults, each once for each command. `tests/baselines/test_kills.py` does a few.
+`python tests/kills.py [--kills N] [--seed S]` kills trainings, evaluations, recordings of datasets and compilations at N
+random moments, repeats the commands and compares the results, to the bit, with those of undisturbed commands. The other
+faults follow, once for each command. `tests/baselines/test_kills.py` has a few kills.
 """
 
 import argparse
@@ -21,20 +21,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PATIENCE = 600  # [s] that a command may take
-GONE = 30  # [s] after which no process may be left
-IN_A_ROW = 3  # kills before a command may end
-TIMES = ("seconds", "decision_ms", "recorded")  # columns that hold what a clock said
+PATIENCE = 600  # [s] time limit of a command
+GONE = 30  # [s] time limit for the end of all processes
+IN_A_ROW = 3  # kills of a command before it runs to its end
+TIMES = ("seconds", "decision_ms", "recorded")  # columns with times
 
 
 @dataclass(frozen=True)
 class Work:
-    """A command, and what it ends with.
+    """A command and its result.
 
     Attributes:
-        words: of the command.
-        again: further words that make it go on.
-        result: returns what must be the same each time, of the folder that it ran in.
+        words: the command.
+        again: further words that resume it.
+        result: returns the reproducible part of the result from the folder of the run.
     """
 
     words: list
@@ -43,15 +43,15 @@ class Work:
 
 
 def table(file):
-    """Return the rows of a CSV file without what a clock said."""
+    """Return the rows of a CSV file without times."""
     with file.open(encoding="utf-8") as stream:
         return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
 
 
 def names(folder):
-    """Return the names of all files, but for those of TensorBoard, one for each start, and of unfinished datasets.
+    """Return the names of all files, without those of TensorBoard, one for each start, and of unfinished datasets.
 
-    The latter are removed by later commands, an hour afterwards.
+    A later command removes unfinished datasets after an hour.
     """
     files = (str(file.relative_to(folder)) for file in folder.rglob("*"))
     return sorted(name for name in files if "tfevents" not in name and not name.startswith(".unfinished-"))
@@ -98,7 +98,7 @@ WORKS = {
 
 
 def started(kind, folder, again, **options):
-    """Start a command in a folder; only that of `compilation` begins with an empty cache."""
+    """Start a command in a folder; only `compilation` has an empty cache."""
     own = {"AUV_GYM_CACHE": str(folder / "out")} if kind == "compilation" else {}
     words = [str(ROOT / word) if word.endswith(".py") else word for word in WORKS[kind].words]
     return subprocess.Popen(
@@ -114,7 +114,7 @@ def started(kind, folder, again, **options):
 
 
 def ended(process):
-    """Return exit status and last line of a command once it has ended; a traceback is a failure."""
+    """Wait for a command, and return its exit status and its last line; raise AssertionError for a traceback."""
     _, err = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in err, err
     return process.returncode, (err.splitlines() or [""])[-1]
@@ -140,7 +140,7 @@ def none_left(folder):
 
 @contextmanager
 def place():
-    """Give an empty folder; at its end nothing works in it any more."""
+    """Yield an empty folder, and check at the end that no process works in it."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         try:
             yield Path(folder)
@@ -152,7 +152,7 @@ def place():
 
 
 def undisturbed(kind):
-    """Return what a command ends with where nothing happens, how long it takes [s], and the bytes that it writes."""
+    """Return the result of an undisturbed command, its duration [s] and the number of bytes that it writes."""
     with place() as folder:
         begin = time.monotonic()
         status, line = ended(started(kind, folder, again=False))
@@ -162,7 +162,7 @@ def undisturbed(kind):
 
 
 def lost(folder):
-    """Return how many validations of a training are behind its last checkpoint."""
+    """Return the number of validations of a training after its last checkpoint."""
     from baselines.training.checkpoint import unpacked
     from baselines.training.run_folder import read_progress
 
@@ -173,14 +173,14 @@ def lost(folder):
 
 
 def finished(kind, folder, again=True):
-    """Give a command until it has ended well, and return what it ends with."""
+    """Run a command to its end and return its result."""
     status, line = ended(started(kind, folder, again))
     assert status == 0 or "exists; choose another --id" in line, (status, line)  # a dataset was complete already
     return WORKS[kind].result(folder)
 
 
 def killed(kind, kills, rng, whole):
-    """Kill a command some times in a row, each at a random moment of it; return what was wrong."""
+    """Kill a command several times, each at a random moment, run it to its end, and compare the results."""
     expected, seconds, _ = whole
     with place() as folder:
         moments = []
@@ -212,7 +212,7 @@ def difference(found, expected):
 
 
 def interrupted(kind, end, ignoring, rng, whole):
-    """End a command by a signal, perhaps where its parent has ignored SIGINT."""
+    """End a command by a signal, with or without a parent that ignores SIGINT."""
     expected, seconds, _ = whole
     with place() as folder:
         ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignoring else None
@@ -227,7 +227,7 @@ def interrupted(kind, end, ignoring, rng, whole):
 
 @contextmanager
 def disk(folder, size):
-    """Mount a file system of so many bytes at a folder."""
+    """Mount a file system of `size` bytes at a folder."""
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size // 1024 + 1}k", "none", folder], check=True)
     try:
@@ -237,7 +237,7 @@ def disk(folder, size):
 
 
 def without_space(kind, fraction, whole):
-    """Let a command write to a disk that is full soon; with more space it goes on."""
+    """Run a command on a disk that becomes full, and again with more space."""
     expected, _, size = whole
     with place() as folder, disk(folder / "out", int(fraction * size)):
         status, line = ended(started(kind, folder, again=False))
@@ -247,7 +247,7 @@ def without_space(kind, fraction, whole):
 
 
 def read_only(kind, whole):
-    """Let a command write where nothing can be written; then where it can."""
+    """Run a command on a read-only disk, and again on a writable one."""
     expected, _, _ = whole
     with place() as folder, disk(folder / "out", 2**30):
         subprocess.run(["mount", "-o", "remount,ro", folder / "out"], check=True)
@@ -258,7 +258,7 @@ def read_only(kind, whole):
 
 
 def twice(kind, whole):
-    """Run a command twice at once; one of them may be refused."""
+    """Run a command twice at the same time; one of them may be refused."""
     expected, _, _ = whole
     with place() as folder:
         both = [started(kind, folder, again=False) for _ in range(2)]
@@ -268,11 +268,11 @@ def twice(kind, whole):
 
 
 def main():
-    """Do all of it and print how often what happened; exit status 1 where something was wrong."""
+    """Run all faults and print their numbers; the exit status is 1 if a check fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="kills alone, of what takes the least time")
+    parser.add_argument("--quick", action="store_true", help="only kills, of the shortest commands")
     options = parser.parse_args()
     rng, counts, wrong = random.Random(options.seed), {}, []
     kinds = ["evaluation", "dataset", "compilation"] if options.quick else [*WORKS]

@@ -1,4 +1,4 @@
-"""Files of every format that is read, damaged at random: each is refused in a line, in little time and memory.
+"""Damages files of every format at random, and checks that they are refused in one line, little time and memory.
 
 `python tests/mutated_files.py [FORMAT ...] [--count N] [--seed S]` reads N damaged files of each format, each in a
 process of its own, and prints what went wrong. `tests/baselines/test_mutated_files.py` reads a few.

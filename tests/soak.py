@@ -1,7 +1,7 @@
-"""Millions of steps of vector environments in random scenarios: are all numbers finite, and does memory stay flat?
+"""Runs millions of steps in random scenarios, and checks that all numbers are finite and memory does not grow.
 
-`python tests/soak.py [--steps N] [--seed S]`. Each round draws scenarios, a mode of autoreset and a policy, and steps a
-vector environment of its own. `tests/baselines/test_soak.py` does a few rounds.
+`python tests/soak.py [--steps N] [--seed S]`. Each round has a new vector environment with random scenarios, an
+autoreset mode and a policy. `tests/baselines/test_soak.py` runs a few rounds.
 """
 
 import argparse
@@ -20,36 +20,38 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
 from baselines import make_policy
 
-LANES = 2000
-ROUND = 400  # control steps of an environment
+VEHICLES = 2000
+ROUND = 400  # control steps of a round
 EPISODES = (100, 400)  # control steps
 POLICIES = ("uniform", "backstepping", "los-pid", "ekf", "apg-cruise", "helm")
-"""They take turns, so that all of them are in memory after the first tenth. The first one draws its actions."""
-GROWTH = 50  # [MiB] that memory may grow by after the first tenth
+"""The policies of the rounds, in turn; "uniform" has random actions."""
+GROWTH = 50  # [MiB] largest growth of memory after the first tenth
 
 
 def resident():
-    """Return the memory of this process now [MiB]."""
+    """Return the resident memory of this process [MiB]."""
     gc.collect()
     return int(re.search(r"VmRSS:\s*(\d+)", Path("/proc/self/status").read_text())[1]) / 1024
 
 
 def acting(name, rng):
-    """Return what acts for a name of `POLICIES`: a function of observations, memory and where an episode begins."""
+    """Return the function of a policy from observations, memory and begins of episodes to actions and memory."""
     if name == "uniform":
         return lambda observation, memory, first: (rng.uniform(-1, 1, (len(observation), 2)), memory)
     return make_policy(name).predict
 
 
 def drawn(rng):
-    """Return a vector environment of random scenarios; None where a path cannot be followed."""
+    """Return a vector environment of random scenarios; None if a path cannot be followed."""
     choose = Generated(rng)
     substeps = (choose.of(SUBSTEPS),)
     mode = choose.of((AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP))
     try:
         some = [scenario(choose, substeps) for _ in range(choose.of((1, 5)))]
         some = [replace(each, steps=choose.of(EPISODES)) for each in some]
-        env = UnderactuatedAUVTrackVectorEnv(LANES, [some[i % len(some)] for i in range(LANES)], autoreset_mode=mode)
+        env = UnderactuatedAUVTrackVectorEnv(
+            VEHICLES, [some[i % len(some)] for i in range(VEHICLES)], autoreset_mode=mode
+        )
         env.reset(seed=int(rng.integers(2**31)))
     except ValueError:
         return None
@@ -57,14 +59,14 @@ def drawn(rng):
 
 
 def checked(**arrays):
-    """Raise AssertionError where a number is not finite."""
+    """Raise AssertionError if a number is not finite."""
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise AssertionError(f"{name} holds {np.ravel(array)[~np.isfinite(np.ravel(array))][0]}")
 
 
 def soak(steps, seed, report=lambda _: None):
-    """Step vehicles until they have made so many steps together; return what was done, by name.
+    """Run a number of steps, summed over vehicles, and return counts, memory [MiB] and time [s] by name.
 
     Raises:
         AssertionError: a number is not finite, or an observation is outside of its space.
@@ -77,7 +79,7 @@ def soak(steps, seed, report=lambda _: None):
             continue
         predict = acting(POLICIES[done["environments"] % len(POLICIES)], rng)
         done["environments"] += 1
-        observation, memory, first = env.reset()[0], None, np.ones(LANES, dtype=bool)
+        observation, memory, first = env.reset()[0], None, np.ones(VEHICLES, dtype=bool)
         for _ in range(ROUND):
             action, memory = predict(observation, memory, first)
             try:
@@ -87,7 +89,7 @@ def soak(steps, seed, report=lambda _: None):
                 break
             first = terminated | truncated
             checked(action=action, observation=observation, reward=reward, error=info["position_error"])
-            done["steps"] += LANES
+            done["steps"] += VEHICLES
             done["episodes"] += int(first.sum())
         if not env.observation_space.contains(observation):
             raise AssertionError("an observation is outside of its space")
@@ -98,7 +100,7 @@ def soak(steps, seed, report=lambda _: None):
 
 
 def main():
-    """Step until so many steps are done, print the result; exit status 1 where memory grows."""
+    """Run the steps and print the result; the exit status is 1 if memory grows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=lambda text: int(float(text)), default=50_000_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,4 +1,4 @@
-"""A few kills; `python tests/kills.py` does many, and the other faults."""
+"""A few kills; `python tests/kills.py` has many, and the other faults."""
 
 import subprocess
 import sys
