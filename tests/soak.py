@@ -49,7 +49,8 @@ def drawn(rng):
     try:
         some = [scenario(choose, substeps) for _ in range(choose.of((1, 5)))]
         some = [replace(each, steps=choose.of(EPISODES)) for each in some]
-        env = UnderactuatedAUVTrackVectorEnv(
+        chosen = [some[i % len(some)] for i in range(VEHICLES)]
+        env = UnderactuatedAUVTrackVectorEnv(VEHICLES, chosen, autoreset_mode=mode)
             VEHICLES, [some[i % len(some)] for i in range(VEHICLES)], autoreset_mode=mode
         )
         env.reset(seed=int(rng.integers(2**31)))
