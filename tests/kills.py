@@ -1,8 +1,8 @@
 """Kills and interrupts commands, fills their disk, runs them twice at once, and checks that they can be repeated.
 
 `python tests/kills.py [--kills N] [--seed S]` kills trainings, evaluations, recordings of datasets and compilations
-at N random moments, repeats the commands and compares the results, to the bit, with those of undisturbed commands. The other
-faults follow, once for each command. `tests/baselines/test_kills.py` has a few kills.
+at N random moments, repeats the commands and compares the results, to the bit, with those of undisturbed commands. The
+other faults follow, once for each command. `tests/baselines/test_kills.py` has a few kills.
 """
 
 import argparse

@@ -51,8 +51,6 @@ def drawn(rng):
         some = [replace(each, steps=choose.of(EPISODES)) for each in some]
         chosen = [some[i % len(some)] for i in range(VEHICLES)]
         env = UnderactuatedAUVTrackVectorEnv(VEHICLES, chosen, autoreset_mode=mode)
-            VEHICLES, [some[i % len(some)] for i in range(VEHICLES)], autoreset_mode=mode
-        )
         env.reset(seed=int(rng.integers(2**31)))
     except ValueError:
         return None
