@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test test-all oldest lint typecheck format bench train train-all pages verify examples docs package clean
+.PHONY: help demo video test test-all soak oldest lint typecheck format bench train train-all pages verify examples docs package clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -49,6 +49,12 @@ EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturban
   kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
   finished_work or long_runs or with_casadi)
+
+# Exit status 1 if a number is not finite, memory grows, a damaged file is not refused, or a result differs after a kill.
+soak: $(VENV)/dev.stamp ## hours: 50 million random steps, damaged files of every format, kills and full disks
+	$(BIN)/python tests/soak.py
+	$(BIN)/python tests/mutated_files.py --count 300
+	$(BIN)/python tests/kills.py
 
 # In an environment of its own; without torch, whose old versions are gigabytes.
 oldest: export OMP_NUM_THREADS = 1

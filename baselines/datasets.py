@@ -9,7 +9,10 @@ import hashlib
 import importlib.metadata
 import math
 import os
+import shutil
 import sys
+import tempfile
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,10 +30,15 @@ from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.episodes import EpisodeRecord, run_episodes
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, typed
+from baselines.tools.files import synchronise
 
 PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with the folder of Minari's datasets."""
+_UNFINISHED = ".unfinished-"
+"""Beginning of the name of a folder in which a dataset is being written."""
+_LEFTOVER = 3600.0
+"""Age [s] from which such a folder belongs to a process that was killed."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +134,8 @@ def collect(
     return parts
 
 
-def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
-    """Write episodes as a Minari dataset and return it.
+def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: Path, card: str) -> None:
+    """Write episodes as a Minari dataset, which appears complete or not at all.
 
     Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`, without the preview of a policy.
 
@@ -139,11 +147,15 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
         card: Markdown, written to the dataset's folder and used as its description.
 
     Raises:
-        ValueError: Minari refuses the id, or a dataset of this id exists.
+        OSError: it cannot be written, or a dataset of this id exists.
+        ValueError: Minari refuses the id.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    before = os.environ.get(LIBRARY_FOLDER)
-    os.environ[LIBRARY_FOLDER] = str(folder.resolve())  # Minari needs an absolute path
+    for left in folder.glob(f"{_UNFINISHED}*"):
+        if time.time() - left.stat().st_mtime > _LEFTOVER:
+            shutil.rmtree(left)
+    before, made = os.environ.get(LIBRARY_FOLDER), Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder.resolve()))
+    os.environ[LIBRARY_FOLDER] = str(made)  # Minari needs an absolute path
     try:
         import minari
         from minari.data_collector import EpisodeBuffer
@@ -152,7 +164,7 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
         buffers = [EpisodeBuffer(i, record.seed, None, **_buffer_fields(record)) for i, record in enumerate(records)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Minari warns that there is no e-mail address
-            dataset = minari.create_dataset_from_buffers(
+            minari.create_dataset_from_buffers(
                 name,
                 buffers,
                 env=_environment(scenario),
@@ -160,9 +172,18 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
                 author="auv_gym contributors",
                 description=card,
             )
-        (folder / name / "README.md").write_text(card, encoding="utf-8")
-        return dataset
+        (made / name / "README.md").write_text(card, encoding="utf-8")
+        for file in made.rglob("*"):
+            if file.is_file():
+                synchronise(file)
+        for parent in reversed(Path(name).parents[:-1]):  # the namespaces, each of which Minari describes in a file
+            (folder / parent).mkdir(exist_ok=True)
+            for file in (made / parent).glob("*.json"):
+                file.replace(folder / parent / file.name)
+        (made / name).rename(folder / name)
+        synchronise((folder / name).parent)
     finally:
+        shutil.rmtree(made)
         os.environ.pop(LIBRARY_FOLDER)
         if before is not None:
             os.environ[LIBRARY_FOLDER] = before

@@ -42,7 +42,7 @@ CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "
 """Options of the shortest run of fresh episodes."""
 BY_CI = {"test-all", "test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "oldest"}
+BY_WORKFLOW = {"package", "oldest", "soak"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -163,8 +163,8 @@ def made(copy, verb):
 
 def test_every_verb_is_run():
     assert set(VERBS) == {*QUICK, *BY_CI, *BY_WORKFLOW}
-    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
-    assert set(re.findall(r"^      - run: make ([\w-]+)$", workflow, re.MULTILINE)) >= BY_WORKFLOW
+    workflows = [file.read_text(encoding="utf-8") for file in (ROOT / ".github" / "workflows").glob("*.yml")]
+    assert set(re.findall(r"^      - run: make ([\w-]+)$", "".join(workflows), re.MULTILINE)) >= BY_WORKFLOW
     assert set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE)) == set(VERBS)
     assert re.search(r"^test: lint typecheck ##", MAKEFILE, re.MULTILINE)
     assert re.search(r"^test-all: test ##", MAKEFILE, re.MULTILINE)

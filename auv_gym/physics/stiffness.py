@@ -67,7 +67,7 @@ def fastest_rate(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST
 def _reach(load: Load, linear: Sequence[Any], quadratic: Sequence[Any]) -> list[Any]:
     """Return |u|, |v|, |r| at which drag takes away all power that the load can give."""
     acting = list(zip(load, linear, quadratic, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):  # no quadratic drag: no bound by it
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # no quadratic drag: no bound by it
         power = sum(np.fmin(F * F / (4 * d), 2 / 3 * F * np.sqrt(F / (3 * q))) for F, d, q in acting)
         return [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
 

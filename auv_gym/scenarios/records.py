@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -87,7 +89,30 @@ def _tupled(value: Any) -> Any:
     return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value
 
 
-_LARGEST_FILE = 2**24  # [B]
+_LARGEST_FILE = {".json": 2**24, ".toml": 2**20}  # [B]
+_LONG_KEY = re.compile(rb"(?:\.[ \t\"']{0,4}[\w-]{1,60}[ \t\"']{0,4}){50}")
+"""A dotted key of TOML that is too long; the time of the decoder grows with the square of its length."""
+
+
+@contextmanager
+def guarded(what: str) -> Iterator[None]:
+    """Turn every exception that a reader raises on damaged input into ValueError.
+
+    ImportError and OSError pass unchanged; the message of an OSError has the name of the file already.
+
+    Args:
+        what: beginning of the message.
+
+    Raises:
+        ValueError: the input is damaged.
+    """
+    try:
+        yield
+    except (ImportError, OSError):
+        raise
+    except Exception as error:  # zlib.error, TypeError, RecursionError, MemoryError ...
+        kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "
+        raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
 def checked_suffix(file: Path) -> str:
@@ -105,11 +130,11 @@ def read_table(file: Path) -> Any:
         OSError: the file cannot be read.
     """
     suffix = checked_suffix(file)
-    if file.exists() and not (file.is_file() and file.stat().st_size <= _LARGEST_FILE):
-        raise ValueError(f"{file} is not a regular file of at most {_LARGEST_FILE} bytes")
+    largest = _LARGEST_FILE[suffix]
+    if file.exists() and not (file.is_file() and file.stat().st_size <= largest):
+        raise ValueError(f"{file} is not a regular file of at most {largest} bytes")
     data = file.read_bytes()
-    try:
-        text = data.decode("utf-8")
-        return json.loads(text) if suffix == ".json" else tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # the errors of both decoders are ValueErrors
-        raise ValueError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
+    with guarded(f"{file} is not valid {suffix[1:].upper()}"):
+        if suffix == ".toml" and _LONG_KEY.search(data):
+            raise ValueError("it has a key of more than 50 parts")
+        return (json if suffix == ".json" else tomllib).loads(data.decode())

@@ -22,7 +22,7 @@ from auv_gym.physics.stiffness import AT_REST, check_step
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.records import checked_suffix, from_record, read_table, to_record
+from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.observation import TERMS
 from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
@@ -334,10 +334,8 @@ class Scenario:
             OSError: the file cannot be read.
         """
         record = read_table(FilePath(file))
-        try:
+        with guarded(str(file)):
             return cls.from_dict(record)
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"{file}: {error}") from error
 
 
 def _rounded(delay: Number) -> Any:

@@ -77,7 +77,7 @@ class Preview:
         """
         self.periods = checked_preview(periods)
         self._ahead = np.array(self.periods, dtype=np.int64)
-        self._instants = steps + 1 + max(self.periods, default=0)
+        self._instants, self._last = steps + 1 + max(self.periods, default=0), steps
         self._positions = np.zeros((num_envs if self.periods else 0, self._instants, 2))
 
     @property
@@ -95,8 +95,11 @@ class Preview:
         self._positions[indices, known:] = _positions(paths, times)
 
     def ahead(self, indices: Sequence[int] | Indices, k: int | Indices) -> Array:
-        """Return the displacements in the world [m] of n sub-environments from control step k on, shape (P, 2, n)."""
-        indices, k = np.asarray(indices), np.broadcast_to(k, len(indices))
+        """Return the displacements in the world [m] of n sub-environments from control step k on, shape (P, 2, n).
+
+        After the last control step, while an episode that has ended waits for its reset, they are those of that step.
+        """
+        indices, k = np.asarray(indices), np.broadcast_to(np.minimum(k, self._last), len(indices))
         now = self._positions[indices, k]
         later = self._positions[indices[:, None], k[:, None] + self._ahead]
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.records import from_record, to_record
+from auv_gym.scenarios.records import from_record, guarded, to_record
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.features import ERROR_FEATURES, STANDARD, Inputs
@@ -32,7 +32,7 @@ from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control import POLICIES, make_controller
 from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.policy import Privileged
-from baselines.tools.files import guarded, read_bytes, read_json, synchronise, write_atomically
+from baselines.tools.files import read_bytes, read_json, synchronise, write_atomically
 
 _FORMAT = 2
 """Version of the folder's layout."""

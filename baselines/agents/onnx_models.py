@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.scenarios.records import guarded
 from auv_gym.task.observation import SIZE
 from auv_gym.task.preview import checked_preview
 from baselines.policy import Batched, Memory, Starts, renewed
-from baselines.tools.files import guarded, read_bytes
+from baselines.tools.files import read_bytes
 
 SUFFIX = ".onnx"
 """Suffix of the name of an ONNX file."""

@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.records import to_record
+from auv_gym.scenarios.records import guarded, to_record
 from auv_gym.task.observation import SIZE, TERMS, Observation, encode_observation
 from auv_gym.task.preview import checked_preview
 from baselines.agents.names import COMMAND
 from baselines.policy import Batched, Memory, Starts
-from baselines.tools.files import checked_plain, guarded
+from baselines.tools.files import checked_plain
 
 PROTOCOL = 1
 """Version of the protocol."""

@@ -14,9 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.files import LARGEST_FILE, read_bytes, write_atomically
+from auv_gym.scenarios.records import guarded
+from baselines.tools.files import LARGEST_FILE, checked_plain, read_bytes, write_atomically
 
-_LARGEST_CONTENT = 2**29  # [bytes] largest uncompressed size of a file
+_LARGEST_CONTENT = 2**27  # [bytes] largest uncompressed size of a file
+_PIECE = 2**12  # [bytes] that are unpacked at once, since LZMA gives their size only afterwards
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA)
 _RECORD = "record"
 """Name of the array with the JSON text."""
 
@@ -60,23 +63,27 @@ def reading(file: Path, largest: int = LARGEST_FILE, content: int | None = None)
         OSError: it cannot be read.
         ValueError: it is too large or damaged, or the block raised an exception.
     """
-    try:
+    with guarded(f"{file} is damaged"):
         yield _read(file, largest, _LARGEST_CONTENT if content is None else content)
-    except OSError:
-        raise
-    except Exception as error:  # of any kind: zlib.error, TypeError, MemoryError, RuntimeError ...
-        raise ValueError(f"{file} is damaged: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
 
 
 def _read(file: Path, largest: int, content: int) -> Stored:
     data = read_bytes(file, largest)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > content:
-        raise ValueError(f"it is larger than {content} bytes unpacked")
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        found = {name: arrays[name] for name in arrays.files}
-    record = json.loads(str(found.pop(_RECORD)))
+        entries = archive.infolist()
+        if sum(entry.file_size for entry in entries) > content:
+            raise ValueError(f"it is larger than {content} bytes unpacked")
+        if any(entry.compress_type not in _METHODS for entry in entries):
+            raise ValueError("it is not compressed by deflate or LZMA")
+        found = {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
+    record = checked_plain(json.loads(str(found.pop(_RECORD))))
     if not isinstance(record, dict):
         raise ValueError("its record is no table")
     return Stored(record, found)
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    with archive.open(entry) as stream:
+        content = io.BytesIO(b"".join(iter(lambda: stream.read(_PIECE), b"")))
+    array: NDArray[Any] = np.lib.format.read_array(content, allow_pickle=False)
+    return array

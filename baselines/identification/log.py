@@ -9,12 +9,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from auv_gym.scenarios.records import guarded
 from baselines.identification.columns import Format
 from baselines.tools.files import read_bytes
 
@@ -42,6 +43,7 @@ WIND_COLUMNS = {"W_x": "m/s", "W_y": "m/s"}
 """Velocity of the air over ground along the axes of x and y."""
 _SHORTEST = 50  # fewest rows of a run
 _LARGEST = 100_000  # most rows of a log
+_LARGEST_FILE = 2**24  # [bytes]
 _GAP = 5  # rows are this many times as far apart as usual where a log has a gap
 
 
@@ -155,11 +157,9 @@ class Log:
             ValueError: the file is no table of numbers, lacks a column, says another unit, or holds no log.
             OSError: it cannot be read.
         """
-        try:
+        with guarded(str(file)):
             columns = _plain(Path(file)) if form is None else form.read(file)
             return cls._of(columns, None if form is None else _pieces(columns.get("t", np.empty(0))))
-        except ValueError as error:
-            raise ValueError(f"{file}: {error}") from error
 
     @classmethod
     def _of(cls, columns: Mapping[str, Array], pieces: list[slice] | None) -> Log:
@@ -216,12 +216,10 @@ def _pieces(t: Array) -> list[slice]:
 
 def _plain(file: Path) -> dict[str, Array]:
     """Return the columns of a CSV file by name, those of a log alone."""
-    data = read_bytes(file)
-    try:
+    data = read_bytes(file, _LARGEST_FILE)
+    with guarded("not valid CSV"):
         stream = io.StringIO(data.decode("utf-8-sig"), newline="")
-        rows = [row for row in csv.reader(stream, strict=True) if row]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"not valid CSV: {error}") from error
+        rows = [*islice(filter(None, csv.reader(stream, strict=True)), _LARGEST + 2)]
     units = {**LOG_COLUMNS, **WIND_COLUMNS}
     for own in CONTROLS.values():
         units |= own
@@ -246,7 +244,7 @@ def _plain(file: Path) -> dict[str, Array]:
             try:
                 values[k] = float(text)
             except ValueError:
-                raise ValueError(f"{name} in data row {k + 1} is {text!r}; it must be a number") from None
+                raise ValueError(f"{name} in data row {k + 1} is {text[:60]!r}; it must be a number") from None
     return found
 
 

@@ -9,8 +9,8 @@ import math
 import os
 import platform
 import stat
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,36 +19,20 @@ import numpy as np
 import scipy
 
 import auv_gym
+from auv_gym.scenarios.records import guarded
 
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
+_LARGEST_JSON = 2**22
+"""Largest JSON file [bytes]: what it holds takes some 20 times its size in memory."""
+_LARGEST_YAML = 2**16
+"""Largest YAML file [bytes]: its parser takes 50 microseconds a byte."""
 DEEPEST = 50
 """Largest nesting depth of lists and tables."""
 LARGEST_TREE = 2**20
 """Largest number of entries of a file, with YAML aliases expanded."""
 LARGEST_INTEGER = 2**1000
 """Largest magnitude of an integer; a float can hold it."""
-
-
-@contextmanager
-def guarded(what: str) -> Iterator[None]:
-    """Turn every exception that a reader raises on damaged input into ValueError.
-
-    ImportError and OSError pass unchanged; the message of an OSError has the name of the file already.
-
-    Args:
-        what: beginning of the message.
-
-    Raises:
-        ValueError: the input is damaged.
-    """
-    try:
-        yield
-    except (ImportError, OSError):
-        raise
-    except Exception as error:  # zlib.error, TypeError, RecursionError, MemoryError ...
-        kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "
-        raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
 def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
@@ -67,9 +51,9 @@ def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
     return data
 
 
-def read_text(file: Path) -> str:
+def read_text(file: Path, largest: int = LARGEST_FILE) -> str:
     """Return the text of a UTF-8 file; raises as `read_bytes`, and ValueError for a text that is not UTF-8."""
-    data = read_bytes(file)
+    data = read_bytes(file, largest)
     with guarded(f"{file} is no UTF-8 text"):
         return data.decode()
 
@@ -81,7 +65,7 @@ def read_json(file: Path) -> Any:
         OSError: it cannot be read.
         ValueError: it is no JSON, or `checked_plain` refuses it; the message has the name of the file.
     """
-    data = read_bytes(file)
+    data = read_bytes(file, _LARGEST_JSON)
     with guarded(f"{file} is not valid JSON"):
         return checked_plain(json.loads(data))
 
@@ -98,7 +82,7 @@ def read_csv(file: Path) -> list[dict[str, str]]:
 
 def read_yaml(file: Path) -> Any:
     """Return the value in a YAML file; raises as `read_json`."""
-    text = read_text(file)
+    text = read_text(file, _LARGEST_YAML)
     with guarded(f"{file} is not valid YAML"):
         return parse_yaml(text)
 

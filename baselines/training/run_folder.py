@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
+from auv_gym.scenarios.records import guarded
 from baselines.agents.agent import Agent
 from baselines.agents.networks import Weights
 from baselines.tools.command_line import UsageError
-from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
+from baselines.tools.files import json_text, read_csv, read_json, write_atomically
 from baselines.training.checkpoint import UNREADABLE, packed, unpacked
 from baselines.training.config import Config
 from baselines.training.validation import VALIDATION_PRECISION, Validation, validation_cell

@@ -14,6 +14,7 @@ import numpy as np
 
 from auv_gym import __version__
 from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import Policy
@@ -24,7 +25,7 @@ from baselines.evaluation.score import capped, error_cap, has_failed, speed_rang
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load_suite
 from baselines.evaluation.suites.anchor_errors import AnchorErrors, measured_anchor_errors, recorded_anchor_errors
-from baselines.tools.files import guarded, json_text, read_json, write_atomically
+from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
 _SUITE = "benchmark-v1-validation"  # suite with the validation episodes of its scenarios

@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from auv_gym.task.observation import SIZE, decoded_terms
 from auv_gym.task.policy import corrected
 from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
-from baselines.agents.features import FEATURES, Inputs
+from baselines.agents.features import ERROR_FEATURES, FEATURES, Inputs
 from baselines.agents.networks import Gru, Lstm, Mlp, network_of, network_record
 from baselines.tools.command_line import UsageError
 
@@ -137,6 +138,23 @@ def test_round_trip(network, tmp_path):
     mine.save(tmp_path / "a")  # in place of the first
     assert sorted(file.name for file in (tmp_path / "a").iterdir()) == ["agent.json", "card.md", "weights.safetensors"]
     assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
+@settings(max_examples=30)
+@given(
+    NETWORKS.map(lambda network: replace(network, inputs=N)),
+    st.sampled_from(["backstepping", "ekf", "lqi", "none"]),
+    st.tuples(*[st.floats(0, 2, exclude_min=True)] * 2),
+    st.none() | st.tuples(*[st.floats(0, exclude_min=True, allow_infinity=False)] * ERROR_FEATURES),
+    st.lists(st.text(st.characters(exclude_categories=["Cs"]))).map(tuple),
+)
+def test_saved_agents_equal_the_loaded_ones(tmp_path_factory, network, expert, authority, region, scenarios):
+    mine = Agent(network, weights_of(network), expert, authority, scenarios, {"seed": 3}, region)
+    folder = tmp_path_factory.getbasetemp() / "kept"
+    mine.save(folder)
+    theirs = Agent.load(folder)
+    assert {**vars(theirs), "weights": 0} == {**vars(mine), "weights": 0}
+    assert all((theirs.weights[name] == weights).all() for name, weights in mine.weights.items())
 
 
 def test_saving_does_not_replace_another_folder(tmp_path):

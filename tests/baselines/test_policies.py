@@ -6,6 +6,7 @@ import pytest
 from auv_gym.codegen import native
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
 from auv_gym.task.policy import preview_of
@@ -47,6 +48,22 @@ def test_vehicles_of_a_batch_are_independent(name):
     if memory:
         with pytest.raises(ValueError, match="of 4 vehicles"):
             policy.predict(observation[:2], memory)
+
+
+@pytest.mark.filterwarnings("ignore:this policy was trained at", "ignore:these gains are stable")
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+def test_decisions_do_not_depend_on_where_north_is(name):
+    """Of what is observed only the heading knows it: the same episode is seen in worlds that are turned."""
+    policy, angles = make_policy(name), np.array([0.0, 1.0, 3.0, -1.7])
+    env = UnderactuatedAUVTrackVectorEnv(1, "cruise-storm", preview=preview_of(policy))
+    heading = [Observation._fields.index(part) for part in ("cos_psi", "sin_psi")]
+    observation, memory, first = env.reset(seed=3)[0], None, np.ones(4, dtype=bool)
+    for _ in range(40):
+        rows = np.tile(observation, (4, 1))
+        rows[:, heading] = np.transpose(to_world(*observation[0, heading], np.cos(angles), np.sin(angles)))
+        action, memory = policy.predict(rows, memory, first)
+        np.testing.assert_allclose(action - action[0], 0, atol=LOOSE.get(name, 1e-5))
+        first, (observation, *_) = np.zeros(4, dtype=bool), env.step(action[:1])
 
 
 @pytest.mark.parametrize(("name", "steps"), [("ekf", 120), ("nmpc", 25)])

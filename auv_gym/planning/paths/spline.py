@@ -150,7 +150,7 @@ def _points(waypoints: Any, closed: bool) -> Array:
     """Return the waypoints as an array (n, 2); raise ValueError if they are invalid."""
     try:
         points = np.asarray(waypoints, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         points = np.empty(0)
     least = 3 if closed else 2
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < least:

@@ -12,7 +12,7 @@ from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
-from auv_gym.scenarios.records import from_record, read_table
+from auv_gym.scenarios.records import from_record, guarded, read_table
 from auv_gym.scenarios.vehicles.scaling import actuators_in
 
 VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
@@ -74,10 +74,8 @@ class VehicleModel:
             ValueError: the file is of another kind, is not valid, or has a wrong entry.
             OSError: the file cannot be read.
         """
-        try:
+        with guarded(str(file)):
             return from_record(cls, read_table(FilePath(file)), "vehicle file")
-        except ValueError as error:
-            raise ValueError(f"{file}: {error}") from error
 
 
 PAPER = VehicleModel(

@@ -29,15 +29,17 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.records import from_record, to_record
+from auv_gym.scenarios.records import from_record, guarded, to_record
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.truth import samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors, speed_range_of
+from baselines.tools.files import checked_plain
 
 SUITES_FOLDER = Path(__file__).parent  # folder of the files
 SUMS = "SHA256SUMS"  # file of the hashes
 FORMAT = 1  # version of the file format
+_LARGEST = 2**22  # [bytes] largest uncompressed size of a file
 
 
 class SuiteError(ValueError):
@@ -97,19 +99,26 @@ def _loaded(name: str, folder: Path) -> Suite:
     if not file.exists() and checkout() is None:
         raise SuiteError(left_out(f"the episodes of {name} are"))
     try:
-        text = bz2.decompress(file.read_bytes())
+        with bz2.open(file) as stream:
+            text = stream.read(_LARGEST + 1)
     except (OSError, EOFError, ValueError) as error:
         raise SuiteError(f"cannot read {file}: {error}") from error
+    if len(text) > _LARGEST:
+        raise SuiteError(f"{file} is larger than {_LARGEST} bytes unpacked")
     digest = hashlib.sha256(text).hexdigest()
     if digest != sums[name]:
         raise SuiteError(f"{file} has been changed: its SHA-256 is {digest}, that of the suite {sums[name]}")
-    record = json.loads(text)
-    if "episodes_of" in record:
-        return _shared(record, digest, folder)
-    suite = _parsed(record, digest)
-    for cell, recorded in zip(suite.cells, suite.digests, strict=True):
-        check_cell(Cell(cell.scenario, cell.episodes[:1]), recorded[:1])
-    return suite
+    try:
+        with guarded(str(file)):
+            record = checked_plain(json.loads(text))
+            if "episodes_of" in record:
+                return _shared(record, digest, folder)
+            suite = _parsed(record, digest)
+            for cell, recorded in zip(suite.cells, suite.digests, strict=True):
+                check_cell(Cell(cell.scenario, cell.episodes[:1]), recorded[:1])
+            return suite
+    except ValueError as error:
+        raise SuiteError(str(error)) from error
 
 
 def save_suite(name: str, cells: Sequence[Cell], folder: Path = SUITES_FOLDER, anchors: Anchors = BY_ORACLE) -> str:
@@ -236,6 +245,6 @@ def _parsed(record: Mapping[str, Any], text_hash: str) -> Suite:
     for entry in record["cells"]:
         scenario = Scenario.from_dict(entry["scenario"])
         cells.append(Cell(scenario, tuple(_episode(e, scenario) for e in entry["episodes"])))
-        digests.append(np.array(entry["digests"]))
+        digests.append(np.array(entry["digests"], dtype=np.float64))
     anchors = Anchors(**record["anchors"]) if "anchors" in record else BY_ORACLE
     return Suite(record["suite"], text_hash, tuple(cells), tuple(digests), anchors)

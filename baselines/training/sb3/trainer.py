@@ -23,9 +23,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 from auv_gym.envs.residual import VectorResidualAction
+from auv_gym.scenarios.records import guarded
 from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
-from baselines.tools.files import guarded
 from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS, RunFolder, TrainingError
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
