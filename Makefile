@@ -40,13 +40,15 @@ PYTEST = $(BIN)/python -m pytest -n 2 --dist worksteal
 test: lint typecheck ## lint, typecheck and run the tests, without the slow ones
 	$(PYTEST) -m "not slow" --durations 10 $(ARGS)
 
+# The longest tests come first, so that no worker waits for the other one at the end.
+SLOW = slow
 test-all: test ## the tests, the slow ones too, and those of equations once more without a compiler
-	$(PYTEST) -m slow --durations 25
+	$(PYTEST) --dist load --maxschedchunk 1 -m "$(SLOW)" --durations 10 tests/test_commands.py tests
 	AUV_GYM_NATIVE=0 $(PYTEST) -m "not slow" -k "$(UNCOMPILED)" $(EQUATIONS)
 
 # The tests of equations run once more as on a machine without a compiler.
-EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturbances elementary env estimators evaluation \
-  kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
+EQUATIONS = $(foreach name,agent codegen controllers disturbances elementary env evaluation kernels planner vector_env, \
+  $(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
   finished_work or long_runs or with_casadi)
 

@@ -290,6 +290,7 @@ def rows(run):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]

@@ -31,6 +31,7 @@ from research.deployment import emulator, measure
 from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
+LONG = [pytest.mark.slow, pytest.mark.long]
 KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "helm")
 """Agents of all kinds: recurrent, with filters, with a preview, without expert, tanh and relu layers, long memory."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
@@ -66,7 +67,7 @@ def commands(repeatable, policy):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n.startswith("helm-") else ()) for n in shipped_agents()]
+    "name", [pytest.param(n, marks=LONG if n.startswith("helm-") else ()) for n in shipped_agents()]
 )
 def test_model_and_header_give_the_actions_of_the_agent_in_closed_loop(name):
     require_compiler()

@@ -318,6 +318,7 @@ def test_a_term_without_which_the_prediction_blows_up_stays(log, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_coverage_counts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(coverage, "_VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})

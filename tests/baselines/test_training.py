@@ -42,6 +42,7 @@ from research.trainings.trainings import SHIPPED_TRAININGS, training
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[2]
+LONG = [pytest.mark.slow, pytest.mark.long]
 SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
 OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
 SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
@@ -87,9 +88,7 @@ def same(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
-@pytest.mark.parametrize(
-    "algo", [pytest.param(a, marks=() if a in ("apg", "ppo") else pytest.mark.slow) for a in ALGORITHMS]
-)
+@pytest.mark.parametrize("algo", [pytest.param(a, marks=() if a in ("apg", "ppo") else LONG) for a in ALGORITHMS])
 def test_every_algorithm_gives_the_same_agent_after_an_interruption(algo, call, capsys, monkeypatch):
     assert call(*tiny(algo)) == 0
     out, err = capsys.readouterr()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from browser import opened
 
-from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios import exogenous
@@ -15,8 +14,6 @@ from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.simulation import REFERENCE, SAMPLE_ROWS
 from baselines import make_policy
-from baselines.export.parts import exported
-from research.deployment.players import HeaderPolicy
 from research.site.live import page as live_page
 from research.site.live.data import LIVE_STEPS, episode_of, path_of, scenario_of
 from research.site.live.page import LARGEST_PAGE, links, write_page
@@ -34,17 +31,6 @@ def folder(tmp_path_factory):
 def bench(browser, folder, tmp_path_factory):
     """Return an open page with the equations and without controls."""
     with opened(browser, bare(folder, tmp_path_factory.mktemp("bench"))) as page:
-        yield page
-
-
-@pytest.fixture(scope="module")
-def bench_with_filters(browser, tmp_path_factory):
-    """Return an open page with the equations, with `helm` in place of the other agents."""
-    made = tmp_path_factory.mktemp("filters")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(live_page, "page_agents", lambda: dict.fromkeys(("apg slow", "apg cruise"), exported("helm")))
-        write_page(made)
-    with opened(browser, bare(made, made)) as page:
         yield page
 
 
@@ -88,8 +74,6 @@ def differences(bench, page_name, policy, speed_range, family, case):
 
 LAWS = {"backstepping": "backstepping", "openLoop": "open-loop", "ekf": "ekf"}
 """Control laws by their names on the page."""
-AGENTS = {"apg": "apg-{}", "apgPreview": "apg-preview-{}"}
-"""Agents by their names on the page, with a placeholder for the speed range."""
 EPISODES = (("slow", "figure_eight", "storm"), ("cruise", "random_smooth", "actuator"), ("cruise", "sine", "mismatch"))
 
 
@@ -100,30 +84,8 @@ def test_laws_and_filter_agree_with_python_over_whole_episodes(bench, page_name,
 
 
 @pytest.mark.parametrize(("speed_range", "family"), [("slow", "circle"), ("cruise", "line")])
-@pytest.mark.parametrize("page_name", AGENTS)
-def test_agents_agree_with_python_over_whole_episodes(bench, page_name, speed_range, family):
-    policy = make_policy(AGENTS[page_name].format(speed_range))
-    assert differences(bench, page_name, policy, speed_range, family, "storm").max() < 1e-9
-
-
-@pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_filters_agree_with_python_over_a_whole_episode(bench_with_filters, speed_range):
-    assert differences(bench_with_filters, "apg", make_policy("helm"), speed_range, "circle", "storm").max() < 1e-8
-
-
-@pytest.mark.parametrize("name", ["apg-slow", "apg-preview-cruise"])
-def test_agents_agree_with_the_c_header_if_they_amplify_rounding_errors(bench, monkeypatch, name):
-    """Without noise, an agent whose input has its last correction can amplify a difference of 1e-16 to 1e-7."""
-    page_name, speed_range = ("apgPreview" if "preview" in name else "apg"), name.rpartition("-")[2]
-    places = [2, 3, 4, -1]  # x, y, psi, and the position error
-    assert differences(bench, page_name, make_policy(name), speed_range, "sine", "waves")[places].max() < 1e-6
-    if native.compiler() is None or not native.wanted():
-        pytest.skip("a header runs compiled")
-    monkeypatch.setattr(native, "TUNED", ())  # with these options gcc may use fused multiply-add
-    native.library.cache_clear()
-    policy = HeaderPolicy(exported(name), "float64")
-    native.library.cache_clear()
-    assert differences(bench, page_name, policy, speed_range, "sine", "waves").max() < 1e-9
+def test_the_agent_agrees_with_python_over_whole_episodes(bench, speed_range, family):
+    assert differences(bench, "helm", make_policy("helm"), speed_range, family, "storm").max() < 1e-8
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
@@ -195,7 +157,7 @@ def test_dragging_increases_the_error_and_controllers_reduce_it(live):
     live.get_by_role("button", name="Calm").click()
     live.get_by_role("button", name="8\u00d7").click()
     live.wait_for_function("PAGE.run.k > 150")
-    before = {name: error_of(live, name) for name in ("backstepping", "ekf", "apg")}
+    before = {name: error_of(live, name) for name in ("backstepping", "ekf", "helm")}
     assert max(before.values()) < 0.1
     box = live.locator("#sea").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -206,7 +168,8 @@ def test_dragging_increases_the_error_and_controllers_reduce_it(live):
     assert all(error_of(live, name) > 1.0 for name in before)
     live.mouse.up()
     live.wait_for_function(
-        "PAGE.run.vehicles.every((v) => v.name === 'openLoop' || v.points.at(-1)[1] < 0.3)", timeout=60_000
+        "PAGE.run.vehicles.every((v) => ['openLoop', 'you'].includes(v.name) || v.points.at(-1)[1] < 0.3)",
+        timeout=60_000,
     )
     assert live.evaluate("PAGE.run.marks.length") == 1
     assert live.locator("#hint").get_attribute("class") == "gone"
@@ -238,6 +201,53 @@ def test_controls_and_keyboard(live):
     assert live.evaluate("PAGE.run.k") == k
     live.keyboard.press("r")
     assert live.evaluate("PAGE.run.k") == 0
+
+
+def test_filters_are_empty_after_a_drag(live):
+    live.get_by_role("button", name="Calm").click()
+    live.wait_for_function("PAGE.run.k > 30")
+    estimated = """(() => {
+        const e = DATA.at.estimate, z = PAGE.run.vehicles.find((v) => v.name === "ekf").vehicle.controller.estimate;
+        return Math.hypot(z[e.V_x], z[e.V_y]);
+    })()"""
+    box = live.locator("#sea").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    live.mouse.move(x, y)
+    live.mouse.down()
+    live.mouse.move(x + 150, y, steps=3)
+    live.wait_for_function("k => PAGE.run.k > k + 3", arg=live.evaluate("PAGE.run.k"))
+    live.mouse.up()
+    k = live.evaluate("PAGE.run.k")
+    live.wait_for_function("k => PAGE.run.k > k + 2", arg=k)
+    assert live.evaluate(estimated) < 0.3  # [m/s]; the drag itself was several metres per second
+
+
+def test_a_link_shows_the_same_episode(browser, folder, live):
+    live.get_by_role("button", name="Waves", exact=True).click()
+    live.get_by_role("button", name="Sine").click()
+    live.locator("[data-controller=ekf]").click()
+    live.locator("#slider-waves").fill("1.5")
+    address = live.url
+    with opened(browser, folder / "index.html") as page:
+        page.goto("about:blank")
+        page.goto(address)
+        page.wait_for_function("PAGE.stats.frames > 2")
+        assert page.evaluate("[PAGE.chosen.family, PAGE.settings.waves]") == ["sine", 1.5]
+        assert sorted(page.evaluate("[...PAGE.chosen.on]")) == ["backstepping", "helm"]
+
+
+def test_arrow_keys_steer_a_vehicle(live):
+    live.get_by_role("button", name="Calm").click()
+    live.locator("[data-controller=you]").click()
+    live.evaluate("document.activeElement.blur()")
+    heading = "PAGE.run.vehicles.find((v) => v.name === 'you').vehicle.plant[DATA.at.plant.r]"
+    live.wait_for_function("PAGE.run.k > 20")
+    before = live.evaluate(heading)
+    live.keyboard.down("ArrowLeft")
+    live.wait_for_function("k => PAGE.run.k > k + 10", arg=live.evaluate("PAGE.run.k"))
+    assert live.evaluate(heading) > before + 0.05  # a positive rudder turns to port
+    live.keyboard.up("ArrowLeft")
+    assert live.evaluate("ENGINE.hand") == [0, 0]
 
 
 def test_page_on_a_telephone(browser, folder, capsys):

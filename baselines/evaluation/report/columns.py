@@ -106,7 +106,7 @@ COLUMNS = (
     Column("to_best_m.mean", "to best [m]",
            "mean steady-state error minus that of the best policy in the same episodes, with its 95 % bootstrap "
            f"interval; the best one is that with the smallest mean, without {ORACLE} and {OPTIMUM_POLICY}",
-           lambda e, _: e.to_best and e.to_best.mean, digits(3), 6, lambda e, _: difference_text(e.to_best)),
+           lambda e, _: e.to_best and e.to_best.mean, digits(3), 4, lambda e, _: difference_text(e.to_best)),
     Column("to_best_m.ci95", "", "95 % bootstrap interval of that difference over paired episodes",
            lambda e, _: e.to_best and list(e.to_best.ci95)),
     Column("score.mean", "score",

@@ -37,6 +37,7 @@ from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
 from baselines.estimation.sea_model import PLACE
 from baselines.export.parts import Exported
 from baselines.gains.loading import load_gains
+from baselines.tools.figure_style import look
 from research.site.live.equations import COMPONENTS, shape_of
 
 _SPEEDS = {"slow": 0.2, "cruise": 1.0}
@@ -63,7 +64,7 @@ def data(agents: Mapping[str, Exported]) -> str:
     """Return the script that defines the page's object `DATA`.
 
     Args:
-        agents: agents by name and speed range, as "apg cruise".
+        agents: agents by name.
     """
     ahead = max((max(agent.preview, default=0) for agent in agents.values()), default=0)
     record = {
@@ -83,6 +84,7 @@ def data(agents: Mapping[str, Exported]) -> str:
         "measured": [MEASUREMENT_NORMALS.start, MEASUREMENT_NORMALS.stop],
         "speed_ranges": {speed_range: speed_range_record(speed_range, ahead) for speed_range in SPEED_RANGES},
         "agents": {name: agent_record(agent) for name, agent in agents.items()},
+        "colours": {name: look(name, ()).colour for name in ("backstepping", "ekf", "open-loop", *agents)},
     }
     return f'"use strict";\nconst DATA = {json.dumps(record, separators=(",", ":"), allow_nan=False)};\n'
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import write_atomically
@@ -20,8 +19,8 @@ from research.site.live.equations import equations
 
 PROGRAM = "python -m research web-demo"
 _FOLDER = Path(__file__).parent / "static"
-_AGENTS = ("apg", "apg-preview")
-"""Families of the shipped agents on the page; each has an agent for each speed range."""
+AGENTS = ("helm",)
+"""Shipped agents on the page, each for both speed ranges."""
 LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
 """Labels of the package's addresses in its metadata, and their labels on the page."""
 LARGEST_PAGE = 3_000_000
@@ -40,10 +39,8 @@ class Options:
 
 
 def page_agents() -> dict[str, Exported]:
-    """Return the agents of the page by name and speed range, as "apg cruise"."""
-    return {
-        f"{name} {speed_range}": exported(f"{name}-{speed_range}") for name in _AGENTS for speed_range in SPEED_RANGES
-    }
+    """Return the agents of the page by name."""
+    return {name: exported(name) for name in AGENTS}
 
 
 def files() -> dict[str, str]:

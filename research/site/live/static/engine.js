@@ -73,9 +73,20 @@ const ENGINE = (() => {
     openLoop: () => ({ act(seen, action) { EQUATIONS.openLoop(seen, action); } }),
     backstepping: () => ({ act(seen, action) { EQUATIONS.backstepping(seen, action); } }),
     ekf: ekfController,
-    apg: (name, speed_range) => agentController(`apg ${speed_range}`),
-    apgPreview: (name, speed_range) => agentController(`apg-preview ${speed_range}`),
+    helm: () => agentController("helm"),
+    you: handController,
   };
+
+  // Commands of the keyboard, added to the planned forces: thrust and rudder from -1 to 1.
+  const hand = [0, 0];
+  function handController() {
+    return {
+      act(seen, action) {
+        EQUATIONS.openLoop(seen, action);
+        for (let i = 0; i < 2; i++) action[i] = Math.max(-1, Math.min(1, action[i] + 0.3 * hand[i]));
+      },
+    };
+  }
 
   function ekfController(name, speed_range) {
     const { filters, law, memory, plan } = DATA.speed_ranges[speed_range].ekf;
@@ -128,17 +139,24 @@ const ENGINE = (() => {
 
   // A vehicle: its state, its observation and its controller.
   function vehicleOf(name, speed_range, parameters) {
-    const controller = CONTROLLERS[name](name, speed_range), state = zeros(sizes.state);
+    let controller = CONTROLLERS[name](name, speed_range);
+    const state = zeros(sizes.state);
     const sides = [0, 1].map(() => ({ plant: zeros(sizes.plant), seen: zeros(sizes.seen) }));
     const outcome = zeros(sizes.outcome), action = zeros(2);
     return {
-      name, controller, action, outcome,
+      name, action, outcome,
+      get controller() { return controller; },
       get plant() { return sides[0].plant; },
       get before() { return sides[1].plant; },
       begin(values, sample) {
         state.set(values);
         EQUATIONS.start(state, sample, parameters, sides[0].plant, sides[0].seen);
         sides[1].plant.set(sides[0].plant);
+      },
+      // Starts again at the present position, at rest and with a new memory of the controller.
+      restart(sample) {
+        controller = CONTROLLERS[name](name, speed_range);
+        this.begin([...sides[0].plant.subarray(0, 3), 0, 0, 0], sample);
       },
       step(sample, reference, k) {
         const [now, then] = sides;
@@ -169,5 +187,5 @@ const ENGINE = (() => {
     return found;
   }
 
-  return { referenceOf, seaOf, vehicleOf, beginning, replay, zeros };
+  return { referenceOf, seaOf, vehicleOf, beginning, replay, zeros, hand };
 })();

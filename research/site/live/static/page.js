@@ -3,11 +3,11 @@
 const PAGE = (() => {
   const $ = (id) => document.getElementById(id);
   const KINDS = {
-    backstepping: { title: "Expert", text: "A backstepping law of 2005. It has no model of the disturbances.", colour: "#e08a1e" },
-    ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, and compensates them.", colour: "#1fa37a" },
-    apg: { title: "Trained agent", text: "A network corrects the expert.", colour: "#d6458b" },
-    apgPreview: { title: "Agent with preview", text: "Its input also has the next seconds of the path.", colour: "#7a6cf0" },
-    openLoop: { title: "No feedback", text: "The planned forces alone.", colour: "#8796a5" },
+    backstepping: { title: "Expert", text: "A backstepping law of 2005. It has no model of the disturbances.", colour: DATA.colours.backstepping },
+    ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, and compensates them.", colour: DATA.colours.ekf },
+    helm: { title: "Trained agent", text: "A network corrects the expert. It also sees the next seconds of the path.", colour: DATA.colours.helm },
+    openLoop: { title: "No feedback", text: "The planned forces alone.", colour: DATA.colours["open-loop"] },
+    you: { title: "You", text: "Arrow keys change the planned thrust and rudder.", colour: "#8a5cd6" },
   };
   const CASES = {
     calm: "Calm", noise: "Noisy sensors", current: "Current", "gauss-markov": "Gusts", waves: "Waves",
@@ -25,7 +25,7 @@ const PAGE = (() => {
   const SPEEDS = [1, 2, 4, 8];
   const WINDOW = 10, TRAIL = 400, REST = 2.5, LENGTH = { cruise: 1.5, slow: 0.6 };
 
-  const chosen = { speed_range: "cruise", family: "figure_eight", seed: 0, preset: "storm", speed: 2, mismatch: false, actuator: false, on: new Set(["backstepping", "ekf", "apg"]) };
+  const chosen = { speed_range: "cruise", family: "figure_eight", seed: 0, preset: "storm", speed: 2, mismatch: false, actuator: false, on: new Set(["backstepping", "ekf", "helm"]) };
   const settings = { current: 0, direction: 0, gusts: 0, waves: 0, noise: 0 };
   const stats = { frames: 0, milliseconds: 0, slowest: 0 };
   let run = null, playing = true, held = null, since = null, touched = false;
@@ -188,7 +188,7 @@ const PAGE = (() => {
     begin();
   }
 
-  function sync() { syncs.forEach((each) => each()); }
+  function sync() { syncs.forEach((each) => each()); share(); }
 
   function build() {
     for (const [name, kind] of Object.entries(KINDS)) {
@@ -213,6 +213,8 @@ const PAGE = (() => {
     $("restart").addEventListener("click", begin);
     $("reseed").addEventListener("click", reseed);
     document.addEventListener("keydown", keys);
+    document.addEventListener("keydown", steer);
+    document.addEventListener("keyup", steer);
     grab($("sea"));
     for (const [text, address] of Object.entries(window.LINKS || {})) {
       const a = Object.assign(document.createElement("a"), { href: address, textContent: text });
@@ -255,6 +257,39 @@ const PAGE = (() => {
     sync();
   }
 
+  // The arrow keys steer the vehicle "you".
+  const ARROWS = { ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [1, 1], ArrowRight: [1, -1] };
+  function steer(event) {
+    const arrow = ARROWS[event.key];
+    if (!arrow || !chosen.on.has("you") || event.target.tagName === "INPUT") return;
+    ENGINE.hand[arrow[0]] = event.type === "keydown" ? arrow[1] : 0;
+    event.preventDefault();
+  }
+
+  // The state of the page in the address, so that a link shows the same episode.
+  const SHARED = ["speed_range", "family", "seed", "preset", "mismatch", "actuator"];
+  function share() {
+    const state = Object.fromEntries(SHARED.map((name) => [name, chosen[name]]));
+    const words = new URLSearchParams({ ...state, on: [...chosen.on].join(" ") });
+    if (!chosen.preset) for (const [name] of SLIDERS) words.set(name, settings[name]);
+    history.replaceState(null, "", `#${words}`);
+  }
+
+  // Takes over the state of the address, and begins an episode; unknown words are ignored.
+  function load() {
+    const words = new URLSearchParams(location.hash.slice(1)), given = (name, allowed) => allowed.includes(words.get(name));
+    if (given("speed_range", Object.keys(DATA.speed_ranges))) chosen.speed_range = words.get("speed_range");
+    if (given("family", Object.keys(speed_range().paths))) chosen.family = words.get("family");
+    if (/^\d{1,6}$/.test(words.get("seed"))) chosen.seed = Number(words.get("seed"));
+    if (words.has("on")) chosen.on = new Set(words.get("on").split(" ").filter((name) => name in KINDS));
+    preset(given("preset", Object.keys(CASES)) ? words.get("preset") : "storm");
+    if (words.get("preset") !== "") return;
+    for (const [name, , low, high] of SLIDERS) settings[name] = Math.min(Math.max(Number(words.get(name)) || 0, low), high);
+    for (const [name] of TOGGLES) chosen[name] = words.get(name) === "true";
+    chosen.preset = "";
+    begin();
+  }
+
   function keys(event) {
     const action = { " ": play, r: begin, n: reseed }[event.key.toLowerCase()];
     if (action && !event.ctrlKey && !event.metaKey && !/^(INPUT|BUTTON)$/.test(event.target.tagName)) {
@@ -269,7 +304,11 @@ const PAGE = (() => {
       return { x: view.x + (event.clientX - box.left - box.width / 2) / view.scale, y: view.y - (event.clientY - box.top - box.height / 2) / view.scale };
     };
     const move = (event) => { if (held) { held = place(event); run.vehicles.forEach((v) => pin(v.vehicle)); } };
-    const release = () => { held = null; canvas.classList.remove("held"); };
+    const release = () => {
+      if (held) for (const { vehicle } of run.vehicles) vehicle.restart(Float64Array.from(run.sea.sample));
+      held = null;
+      canvas.classList.remove("held");
+    };
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       held = place(event);
@@ -284,7 +323,7 @@ const PAGE = (() => {
   }
 
   build();
-  preset(chosen.preset);
+  load();
   sync();
   requestAnimationFrame(frame);
   return { stats, chosen, settings, get run() { return run; }, get playing() { return playing; }, view };
