@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import resource
@@ -10,8 +11,9 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,8 @@ from auv_gym.codegen import native
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.policy import preview_of
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, parse
-from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.command_line import DONE, FAILED, parse
+from baselines.tools.files import json_text, read_json, read_text, write_atomically
 from research import DATA
 
 PROGRAM = "python -m research throughput"
@@ -31,6 +33,7 @@ THROUGHPUT_FILE = DATA / "throughput.json"  # record of the measurements
 SCENARIO = "cruise-storm"  # all disturbances together
 EPISODE = PRESETS[SCENARIO].steps  # number of control steps of an episode
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
+SLOWER = 1.1  # largest factor by which a ratio may fall in the history
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 PEER = "Pendulum-v1"
 PEER_EPISODE = 200  # number of steps of an episode of `PEER`
@@ -63,13 +66,17 @@ class Figure:
 class Options:
     """Measure the speed of the environments relative to Gymnasium's Pendulum; print and record the results.
 
-    Afterwards `python -m research pages speed` writes docs/speed.md. Exit status: 0 done, 2 wrong usage.
+    Afterwards `python -m research pages speed` writes docs/speed.md. Exit status: 0 done, 1 a ratio fell since the last
+    good run of the history, 2 wrong usage.
     """
 
     quick: bool = False
     """Run few and short rounds and record nothing, to test that the measurement works."""
     out: Path = THROUGHPUT_FILE
     """File for the results."""
+    history: Path | None = None
+    """File with the ratios of earlier runs, a line of JSON each. The new ratios are compared with the last good run and
+    appended. A run is good unless a ratio is lower by a factor of more than 1.1."""
 
 
 def written(value: float, unit: str) -> str:
@@ -251,6 +258,26 @@ def decision_figures(quick: bool) -> Iterator[Figure]:
         yield Figure(f"decision of one vehicle: {name}", float(np.median(times)), "s")
 
 
+def compared(file: Path, figures: Sequence[Figure]) -> list[str]:
+    """Append the ratios of a run to a history, and return a message for each that fell since the last good run.
+
+    Raises:
+        ValueError: the file is no history.
+        OSError: the file cannot be read or written.
+    """
+    runs = [json.loads(line) for line in read_text(file).splitlines()] if file.exists() else []
+    last: Mapping[str, float] = next((run["ratios"] for run in reversed(runs) if run["good"]), {})
+    ratios = {figure.case: figure.value for figure in figures if figure.unit == "x"}
+    fallen = [
+        f"{case}: {value:.3g} x, {last[case]:.3g} x in the last good run"
+        for case, value in ratios.items()
+        if SLOWER * value < last.get(case, 0.0)
+    ]
+    line = json.dumps({"date": datetime.now(timezone.utc).date().isoformat(), "good": not fallen, "ratios": ratios})
+    write_atomically(file, "".join(f"{json.dumps(run)}\n" for run in runs) + f"{line}\n")
+    return fallen
+
+
 MEASURED = (scalar_figures, vector_figures, first_figures, decision_figures)
 """The measurements, in this order."""
 
@@ -280,7 +307,10 @@ def main(arguments: Sequence[str]) -> int:
     if not options.quick:
         write_atomically(options.out, json_text({"machine": machine(), "figures": [asdict(f) for f in figures]}))
         print(f"\nwritten: {options.out}")
-    return DONE
+    fallen = compared(options.history, figures) if options.history else []
+    for message in fallen:
+        print(f"slower: {message}")
+    return FAILED if fallen else DONE
 
 
 def context(page: str) -> dict[str, Any]:
