@@ -5,6 +5,7 @@ The same command gives the same content; the card has its SHA-256.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib.metadata
 import math
@@ -151,6 +152,11 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
         ValueError: Minari refuses the id.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    needed, free = sum(map(_size, parts)), shutil.disk_usage(folder).free
+    if needed > free:  # HDF5 prints tracebacks for every array that it cannot write
+        raise OSError(
+            errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {needed} bytes are needed, {free} are free", str(folder)
+        )
     for left in folder.glob(f"{_UNFINISHED}*"):
         if time.time() - left.stat().st_mtime > _LEFTOVER:
             shutil.rmtree(left)
@@ -198,6 +204,12 @@ def _environment(scenario: Scenario) -> Any:
 
     preset = PRESETS.get(scenario.name) == scenario
     return gym.make(EVALUATED_ENV, scenario=scenario.name if preset else scenario.to_dict())
+
+
+def _size(part: DatasetPart) -> int:
+    """Return an upper estimate of the bytes that a part takes on disk."""
+    arrays = [x for r in part.records for x in (r.observations, r.actions, r.rewards, r.errors, r.saturated, r.times)]
+    return sum(x.nbytes for x in arrays) * 3 // 2 + 2**16 * len(part.records)
 
 
 def _buffer_fields(record: EpisodeRecord) -> dict[str, Any]:

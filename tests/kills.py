@@ -229,7 +229,7 @@ def interrupted(kind, end, ignoring, rng, whole):
 def disk(folder, size):
     """Mount a file system of `size` bytes at a folder."""
     folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size // 1024 + 1}k", "none", folder], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"mode=700,size={size // 1024 + 1}k", "none", folder], check=True)
     try:
         yield
     finally:

@@ -25,6 +25,8 @@ LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
 _LARGEST_JSON = 2**22
 """Largest JSON file [bytes]: what it holds takes some 20 times its size in memory."""
+_LARGEST_CSV = 2**21
+"""Largest CSV file [bytes]: a row of one character becomes a table of hundreds of bytes."""
 _LARGEST_YAML = 2**16
 """Largest YAML file [bytes]: its parser takes 50 microseconds a byte."""
 DEEPEST = 50
@@ -72,12 +74,13 @@ def read_json(file: Path) -> Any:
 
 def read_csv(file: Path) -> list[dict[str, str]]:
     """Return the rows of a CSV file with one line of headings, without empty entries; raises as `read_json`."""
-    text = read_text(file)
+    text, rows = read_text(file, _LARGEST_CSV), []
     with guarded(f"{file} is not valid CSV"):
-        rows = list(csv.DictReader(io.StringIO(text), restkey="", strict=True))
-        if any("" in row for row in rows):
-            raise ValueError("a row is longer than the line of headings")
-        return [{name: entry for name, entry in row.items() if entry} for row in rows]
+        for row in csv.DictReader(io.StringIO(text), restkey="", strict=True):
+            if "" in row:
+                raise ValueError("a row is longer than the line of headings")
+            rows.append({name: entry for name, entry in row.items() if entry})
+    return rows
 
 
 def read_yaml(file: Path) -> Any:
