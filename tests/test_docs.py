@@ -60,7 +60,15 @@ def registries():
 
 
 @pytest.mark.usefixtures("registries")
-@pytest.mark.parametrize("page", [p for p in PAGES if any(b.language == "python" for b in blocks(p))], ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(p, marks=pytest.mark.slow if p.stem == "log-to-agent" else ())
+        for p in PAGES
+        if any(b.language == "python" for b in blocks(p))
+    ],
+    ids=name_of,
+)
 def test_python_runs_and_prints_the_shown_output(page, tmp_path, monkeypatch, capsys):
     """The blocks of a page run in order in one namespace; a `toml` block is a file, named in its first line.
 

@@ -21,6 +21,7 @@ def script(notebook):
     return re.sub(r"^!(.*)$", call, "\n".join(code), flags=re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("notebook", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
 def test_notebook_runs(notebook, tmp_path):
     (tmp_path / "script.py").write_text(script(notebook), encoding="utf-8")
@@ -31,7 +32,7 @@ def test_notebook_runs(notebook, tmp_path):
         env={**os.environ, "MPLBACKEND": "Agg", "PATH": path, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=180,
         check=False,
     )
     assert done.returncode == 0, done.stderr

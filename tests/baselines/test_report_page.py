@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 LARGEST = 1_500_000  # [bytes] of a page
 HOSTILE = '</script><img src=x onerror="window.caught=1"><b>&{{7*7}}\\'
 TIMEOUT = 60_000  # [ms]
+pytestmark = pytest.mark.slow  # a browser draws large pages
 
 
 @pytest.fixture(scope="module")
