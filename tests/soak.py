@@ -18,6 +18,7 @@ from random_scenarios import SUBSTEPS, Generated, scenario
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
+from auv_gym.task.policy import preview_of
 from baselines import make_policy
 
 VEHICLES = 2000
@@ -34,15 +35,21 @@ def resident():
     return int(re.search(r"VmRSS:\s*(\d+)", Path("/proc/self/status").read_text())[1]) / 1024
 
 
-def acting(name, rng):
-    """Return the function of a policy from observations, memory and begins of episodes to actions and memory."""
-    if name == "uniform":
-        return lambda observation, memory, first: (rng.uniform(-1, 1, (len(observation), 2)), memory)
-    return make_policy(name).predict
+class Uniform:
+    """A policy of random actions."""
+
+    preview = ()
+
+    def __init__(self, rng):
+        self._rng = rng
+
+    def predict(self, observation, memory, first):
+        """Return random actions."""
+        return self._rng.uniform(-1, 1, (len(observation), 2)), memory
 
 
-def drawn(rng):
-    """Return a vector environment of random scenarios; None if a path cannot be followed."""
+def begun(rng, preview):
+    """Return a vector environment of random scenarios and what it observes; None if a path cannot be followed."""
     choose = Generated(rng)
     substeps = (choose.of(SUBSTEPS),)
     mode = choose.of((AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP))
@@ -50,11 +57,10 @@ def drawn(rng):
         some = [scenario(choose, substeps) for _ in range(choose.of((1, 5)))]
         some = [replace(each, steps=choose.of(EPISODES)) for each in some]
         chosen = [some[i % len(some)] for i in range(VEHICLES)]
-        env = UnderactuatedAUVTrackVectorEnv(VEHICLES, chosen, autoreset_mode=mode)
-        env.reset(seed=int(rng.integers(2**31)))
+        env = UnderactuatedAUVTrackVectorEnv(VEHICLES, chosen, autoreset_mode=mode, preview=preview)
+        return env, env.reset(seed=int(rng.integers(2**31)))[0]
     except ValueError:
         return None
-    return env
 
 
 def checked(**arrays):
@@ -73,21 +79,23 @@ def soak(steps, seed, report=lambda _: None):
     rng, begin = np.random.default_rng(seed), time.monotonic()
     done = {"steps": 0, "episodes": 0, "environments": 0, "refused": 0, "early": 0.0, "late": 0.0}
     while done["steps"] < steps:
-        if (env := drawn(rng)) is None:
+        name = POLICIES[done["environments"] % len(POLICIES)]
+        policy = Uniform(rng) if name == "uniform" else make_policy(name)
+        if (made := begun(rng, preview_of(policy))) is None:
             done["refused"] += 1
             continue
-        predict = acting(POLICIES[done["environments"] % len(POLICIES)], rng)
         done["environments"] += 1
-        observation, memory, first = env.reset()[0], None, np.ones(VEHICLES, dtype=bool)
+        (env, observation), memory, first = made, None, np.ones(VEHICLES, dtype=bool)
         for _ in range(ROUND):
-            action, memory = predict(observation, memory, first)
+            action, memory = policy.predict(observation, memory, first)
+            checked(action=action)
             try:
                 observation, reward, terminated, truncated, info = env.step(action)
             except ValueError:  # the next episode has a path that cannot be followed
                 done["refused"] += 1
                 break
             first = terminated | truncated
-            checked(action=action, observation=observation, reward=reward, error=info["position_error"])
+            checked(observation=observation, reward=reward, error=info["position_error"])
             done["steps"] += VEHICLES
             done["episodes"] += int(first.sum())
         if not env.observation_space.contains(observation):

@@ -89,7 +89,7 @@ def _tupled(value: Any) -> Any:
     return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value
 
 
-_LARGEST_FILE = {".json": 2**24, ".toml": 2**20}  # [B]
+_LARGEST_FILE = {".json": 2**22, ".toml": 2**20}  # [B]
 _LONG_KEY = re.compile(rb"(?:\.[ \t\"']{0,4}[\w-]{1,60}[ \t\"']{0,4}){50}")
 """A dotted key of TOML that is too long; the time of the decoder grows with the square of its length."""
 

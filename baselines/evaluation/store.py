@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.scenarios.records import guarded
-from baselines.tools.files import LARGEST_FILE, checked_plain, read_bytes, write_atomically
+from baselines.tools.files import LARGEST_FILE, LARGEST_JSON, checked_plain, read_bytes, write_atomically
 
 _LARGEST_CONTENT = 2**27  # [bytes] largest uncompressed size of a file
 _PIECE = 2**12  # [bytes] that are unpacked at once, since LZMA gives their size only afterwards
@@ -76,7 +76,9 @@ def _read(file: Path, largest: int, content: int) -> Stored:
         if any(entry.compress_type not in _METHODS for entry in entries):
             raise ValueError("it is not compressed by deflate or LZMA")
         found = {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
-    record = checked_plain(json.loads(str(found.pop(_RECORD))))
+    if len(text := str(found.pop(_RECORD))) > LARGEST_JSON:
+        raise ValueError(f"its record is longer than {LARGEST_JSON} characters")
+    record = checked_plain(json.loads(text))
     if not isinstance(record, dict):
         raise ValueError("its record is no table")
     return Stored(record, found)

@@ -23,7 +23,7 @@ from auv_gym.scenarios.records import guarded
 
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
-_LARGEST_JSON = 2**22
+LARGEST_JSON = 2**22
 """Largest JSON file [bytes]: what it holds takes some 20 times its size in memory."""
 _LARGEST_CSV = 2**21
 """Largest CSV file [bytes]: a row of one character becomes a table of hundreds of bytes."""
@@ -67,7 +67,7 @@ def read_json(file: Path) -> Any:
         OSError: it cannot be read.
         ValueError: it is no JSON, or `checked_plain` refuses it; the message has the name of the file.
     """
-    data = read_bytes(file, _LARGEST_JSON)
+    data = read_bytes(file, LARGEST_JSON)
     with guarded(f"{file} is not valid JSON"):
         return checked_plain(json.loads(data))
 
