@@ -142,7 +142,7 @@ def test_an_id_of_a_preset_makes_vector_environments():
         assert env.spec.max_episode_steps == 600
 
 
-@pytest.mark.parametrize("backend", ["numpy", "torch"])
+@pytest.mark.parametrize("backend", ["numpy", pytest.param("torch", marks=pytest.mark.slow)])
 def test_max_episode_steps_truncates_vector_environments(backend):
     env = gym.make_vec(f"{TASKS[0]}-slow-calm-v0", 2, "vector_entry_point", max_episode_steps=3, backend=backend)
     env.reset(seed=0)

@@ -49,7 +49,7 @@ FOUND = Path("runs/train/apg-small-slow-otter")
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """Return a folder with a small agent of both regimes, trained for the paper's vehicle."""
+    """Return a folder with a small agent of both speed ranges, trained for the paper's vehicle."""
     folder = tmp_path_factory.mktemp("trained")
     SMALL.save(folder / "small.toml")
     SLOW.save(folder / "slow.toml")

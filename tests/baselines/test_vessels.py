@@ -19,6 +19,7 @@ from baselines.identification.log import joined
 from baselines.identification.model import LogModel
 from baselines.tools.command_line import run
 
+pytestmark = pytest.mark.slow  # fits of long logs
 TRUE = {
     "m11": 250.0, "m22": 420.0, "m33": 200.0, "d11": 1.0, "d22": 12.0, "d33": 6.0, "X_uu": 8.0, "Y_vv": 150.0,
     "N_rr": 120.0, "Y_uv": 40.0, "Y_ur": 120.0, "N_uv": 100.0, "N_ur": 60.0, "X_vr": -60.0, "N_vv": 40.0, "T_nn": 0.014,

@@ -287,6 +287,7 @@ class _Recorded:
         self.runs = [r for name in ("helm", "backstepping") for r in recorded.read_recorded(suite, name)]
 
 
+@pytest.mark.slow
 def test_the_command_counts_failures_with_and_without_a_guard(tmp_path):
     """Two episodes of each cell: without a guard from the recorded rows, with one from rollouts."""
     suite = suites.load_suite("unmodelled-v1")
