@@ -210,6 +210,7 @@ def test_train_makes_an_agent(copy):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_train_all_trains_those_that_are_named(copy):
     made(copy, "train-all")
     assert [run.name for run in (copy / "runs" / "shipped").iterdir()] == ["ppo-cruise"]

@@ -255,6 +255,7 @@ def test_make_vec_returns_the_compiled_environment(compiled):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch reads it, and hides its own warning
 def test_compiled_gradients_equal_eager_gradients(compiled):
     grads = []
@@ -283,6 +284,7 @@ print(sum("C++ compiler" in str(w.message) for w in caught))
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_without_a_compiler_there_is_one_warning_and_the_step_is_eager(tmp_path):
     kept = {k: v for k, v in os.environ.items() if k not in ("CXX", "CC")}
     hidden = {**kept, "PATH": str(tmp_path), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}

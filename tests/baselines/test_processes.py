@@ -120,6 +120,7 @@ def test_no_process_is_left_behind(program, end, tmp_path):
 
 @needs_proc
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("end", [signal.SIGKILL, TERMINAL])
 def test_no_process_is_left_behind_of_one_training_in_two(end, tmp_path):
     SMALL.save(tmp_path / "small.toml")
