@@ -250,6 +250,9 @@ def test_arrow_keys_steer_a_vehicle(live):
     assert live.evaluate(heading) > before + 0.05  # a positive rudder turns to port
     live.keyboard.up("ArrowLeft")
     assert live.evaluate("ENGINE.hand") == [0, 0]
+    live.keyboard.down("ArrowUp")
+    live.evaluate("window.dispatchEvent(new Event('blur'))")
+    assert live.evaluate("ENGINE.hand") == [0, 0]
 
 
 def test_page_on_a_telephone(browser, folder, capsys):

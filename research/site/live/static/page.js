@@ -215,6 +215,7 @@ const PAGE = (() => {
     document.addEventListener("keydown", keys);
     document.addEventListener("keydown", steer);
     document.addEventListener("keyup", steer);
+    window.addEventListener("blur", () => ENGINE.hand.fill(0)); // the keyup goes to another window
     grab($("sea"));
     for (const [text, address] of Object.entries(window.LINKS || {})) {
       const a = Object.assign(document.createElement("a"), { href: address, textContent: text });
@@ -261,8 +262,10 @@ const PAGE = (() => {
   const ARROWS = { ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [1, 1], ArrowRight: [1, -1] };
   function steer(event) {
     const arrow = ARROWS[event.key];
-    if (!arrow || !chosen.on.has("you") || event.target.tagName === "INPUT") return;
-    ENGINE.hand[arrow[0]] = event.type === "keydown" ? arrow[1] : 0;
+    if (!arrow) return;
+    if (event.type === "keyup") { ENGINE.hand[arrow[0]] = 0; return; }
+    if (!chosen.on.has("you") || event.target.tagName === "INPUT") return;
+    ENGINE.hand[arrow[0]] = arrow[1];
     event.preventDefault();
   }
 
