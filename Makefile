@@ -49,8 +49,7 @@ test-all: test ## the tests, the slow ones too, and those of equations once more
 # The tests of equations run once more as on a machine without a compiler.
 EQUATIONS = $(foreach name,agent codegen controllers disturbances elementary env evaluation kernels planner vector_env, \
   $(wildcard tests/*/test_$(name).py))
-UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
-  finished_work or long_runs or with_casadi)
+UNCOMPILED = not (16384 or torch or report_is_one_page or interrupted or number_of_jobs or as_a_process)
 
 # Exit status 1 if a number is not finite, memory grows, a damaged file is not refused, or a result differs after a kill.
 soak: $(VENV)/dev.stamp ## hours: 50 million random steps, damaged files of every format, kills and full disks

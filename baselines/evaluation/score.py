@@ -171,8 +171,7 @@ def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
         for weights, theirs, mine in zip(resamplings(tuple(map(len, rival))), rival, seeds, strict=True):
             logs += np.log(((weights @ mine.T) * shares).sum(axis=1)) - np.log(weights @ theirs)
     values = np.exp(logs / len(rival))
-    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
-    return Score(float(values[0]), (low, high))
+    return _with_interval(values)
 
 
 def difference(rival: Sequence[Array], own: Sequence[Array]) -> Score:
@@ -185,6 +184,11 @@ def difference(rival: Sequence[Array], own: Sequence[Array]) -> Score:
     values = np.asarray(sums) / sum(lengths)
     if sum(lengths) < 2:
         return Score(float(values[0]), (math.nan, math.nan))
+    return _with_interval(values)
+
+
+def _with_interval(values: Array) -> Score:
+    """Return the first value with the 95 % interval of the others, which are those of bootstrap samples."""
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return Score(float(values[0]), (low, high))
 
@@ -203,8 +207,7 @@ def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) 
         return Score(math.nan, (math.nan, math.nan))
     if sum(map(len, zero)) < 2:
         return Score(float(values[0]), (math.nan, math.nan))
-    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
-    return Score(float(values[0]), (low, high))
+    return _with_interval(values)
 
 
 def seeds_score(zero: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
@@ -235,5 +238,4 @@ def lead(zero: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], 
     shares = seed_shares(count)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (above * shares).sum(axis=1) / span
-    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
-    return Score(float(values[0]), (low, high))
+    return _with_interval(values)

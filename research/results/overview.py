@@ -14,7 +14,7 @@ from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
-from baselines.tools.figure_style import MARKERS, look, panels, styled, to_png
+from baselines.tools.figure_style import MARKERS, Look, look, panels, styled, to_png
 from research.lower_bounds.estimation.command import recorded_bounds
 from research.results.collection import Results, results_of
 
@@ -114,13 +114,18 @@ def _error(steady_rmses: Array) -> str:
     return f"{mean} ({low} to {high})"
 
 
+def _look(policy: str) -> Look:
+    """Return the look of a policy of the summary, the same for both speed ranges."""
+    return look(policy.format("cruise"), [name.format("cruise") for name in _POLICIES])
+
+
 def _errors(results: Results) -> Any:
     figure, [axes] = panels(1, 2, (8.2, 3.4), sharey=True)
     names = list(_POLICIES)
     for ax, speed_range in zip(axes, SPEED_RANGES, strict=True):
         for i, name in enumerate(names):
             steady_rmses = 1e3 * _steady_rmses(results, name.format(speed_range), speed_range)
-            own = look(name.format("cruise"), [n.format("cruise") for n in names])
+            own = _look(name)
             ax.plot(bootstrap_interval(steady_rmses), [i, i], color=own.colour, linewidth=2)
             ax.plot(steady_rmses.mean(), i, color=own.colour, marker=MARKERS[own.marker], markersize=5)
         for value, label, style in (
@@ -160,7 +165,7 @@ def _command_rates(results: Results) -> Any:
         for policy in _POLICIES:
             name = policy.format(speed_range)
             rate, error = _entry(results, name, speed_range).smoothness_ratio, 1e3 * _mean(results, name, speed_range)
-            own = look(policy.format("cruise"), [p.format("cruise") for p in _POLICIES])
+            own = _look(policy)
             ax.plot(rate, error, color=own.colour, marker=MARKERS[own.marker], markersize=5)
             below = policy in _BELOW
             ax.annotate(

@@ -188,6 +188,6 @@ def ranked(entries: Sequence[Entry]) -> list[Entry]:
     return sorted(entries, key=rank)
 
 
-def definitions() -> dict[str, str]:
-    """Return the definition of each column, by its heading, or by its key if it has none."""
-    return {column.heading or column.key: column.definition for column in COLUMNS}
+def definitions(left_out: Sequence[str] = ()) -> dict[str, str]:
+    """Return the definition of each column of tables by its heading, without some columns, by their keys."""
+    return {column.heading: column.definition for column in _SHOWN if column.key not in left_out}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.evaluation.report.columns import COLUMNS, NONE, Column, digits, failures_text, ranked, used
+from baselines.evaluation.report.columns import NONE, Column, definitions, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
@@ -69,7 +69,6 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     counted = f"{episodes} episodes of each policy"
     policies = list(dict.fromkeys(r.run.policy for r in results if r.entry.summary is not None))
     shown = at_first([r for r in results if r.entry.summary is not None], pooled)
-    scenarios = by_scenario(results)
     maps = _maps(results, policies)
     joint = [entry for entry in pooled if entry.place.partition(VEHICLE_MARK)[0] in {m["speed_range"] for m in maps}]
     return render_report(
@@ -87,12 +86,12 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         maps=maps,
         scenarios=[
             {"name": scenario.name, "board": joint and _board(scenario.name, [r.entry for r in own], policies, shown)}
-            for scenario, own in scenarios
+            for scenario, own in by_scenario(results)
         ],
         recorded=recordings(results),
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
         notes=list(dict.fromkeys((*request.notes, *(f"{r.run.policy}: {t}" for r in results for t in r.run.warnings)))),
-        definitions={c.heading: c.definition for c in COLUMNS if c.heading and c.key not in _LEFT_OUT},
+        definitions=definitions(_LEFT_OUT),
     )
 
 

@@ -70,11 +70,11 @@ def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]
     cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
     own = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
     entries = [_entry(run.scenario.name, [run], case, ends) for run, case in zip(runs, own, strict=True)]
-    compared = [
-        _to_best(entry, [e for e in entries if e.place == entry.place], case, unit_of(run.scenario))
+    best = {name: _best([entry for entry in entries if entry.place == name]) for name in cases}
+    return [
+        Result(run, _to_best(entry, best[entry.place], case, unit_of(run.scenario)))
         for run, case, entry in zip(runs, own, entries, strict=True)
     ]
-    return [Result(run, entry) for run, entry in zip(runs, compared, strict=True)]
 
 
 def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
@@ -94,14 +94,19 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
             if own and all(policy in case for case in cases.values()):
                 entries.append(_entry(place, own, cases, ends))
         units = {unit_of(run.scenario) for run in runs if run.scenario.name in cases}
-        found += [_to_best(entry, entries, cases, units.pop() if len(units) == 1 else 1.0) for entry in entries]
+        unit, best = units.pop() if len(units) == 1 else 1.0, _best(entries)
+        found += [_to_best(entry, best, cases, unit) for entry in entries]
     return found
 
 
-def _to_best(entry: Entry, entries: Sequence[Entry], cases: Mapping[str, _Case], unit: float) -> Entry:
+def _best(entries: Sequence[Entry]) -> Entry | None:
+    """Return the entry with the smallest mean steady-state error, without those in `FORESIGHTED` and failed ones."""
+    known = [(e.summary.steady_rmse_m.mean, e) for e in entries if e.summary and e.policy not in FORESIGHTED]
+    return min(known, key=lambda pair: pair[0])[1] if known else None
+
+
+def _to_best(entry: Entry, best: Entry | None, cases: Mapping[str, _Case], unit: float) -> Entry:
     """Return an entry with the difference to the best entry of its place; `unit` as in `score.unit_of`."""
-    known = [e for e in entries if e.summary is not None and e.policy not in FORESIGHTED]
-    best = min(known, key=lambda e: e.summary.steady_rmse_m.mean if e.summary else math.inf, default=None)
     if entry.summary is None or best is None or best is entry:
         return entry
     pairs = [paired(case[best.policy], case[entry.policy]) for case in cases.values()]

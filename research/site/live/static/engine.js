@@ -124,12 +124,8 @@ const ENGINE = (() => {
     return {
       base, correction, authority, preview,
       act(seen, action, ways) {
-        if (preview.length) {
-          look(seen, ways, columns);
-          see(seen, columns, correction, integrals, features, base);
-        } else {
-          see(seen, correction, integrals, features, base);
-        }
+        look(seen, ways, columns);
+        see(seen, columns, correction, integrals, features, base);
         network(features, hidden, correction, next);
         hidden.set(next);
         EQUATIONS.command(base, authority, correction, action);
@@ -160,7 +156,7 @@ const ENGINE = (() => {
       },
       step(sample, reference, k) {
         const [now, then] = sides;
-        const ways = controller.preview && controller.preview.length ? reference.ways(k, controller.preview) : null;
+        const ways = controller.preview ? reference.ways(k, controller.preview) : null;
         controller.act(now.seen, action, ways);
         EQUATIONS.step(now.plant, now.seen, action, AUTHORITY, sample, parameters, then.plant, then.seen, outcome);
         sides.reverse();
