@@ -14,8 +14,8 @@ def matrix_form(state, tau, vehicle, current=(0.0, 0.0)):
     D[1:, 1:] += abs(nu[0]) * np.array([[vehicle.Y_uv, -vehicle.Y_ur], [-vehicle.N_uv, vehicle.N_ur]])
     _, v, r = nu
     loss = np.array([vehicle.X_vv * v * v + vehicle.X_vr * v * r + vehicle.X_rr * r * r, 0.0, 0.0])
-    cross = [[vehicle.Y_rv * abs(r), vehicle.Y_vr * abs(v) + vehicle.Y_rr * abs(r)]]
-    cross += [[vehicle.N_vv * abs(v) + vehicle.N_rv * abs(r), vehicle.N_vr * abs(v)]]
+    cross = [[vehicle.Y_rv * abs(r), vehicle.Y_vr * abs(v) + vehicle.Y_rr * abs(r) + vehicle.d23]]
+    cross += [[vehicle.N_vv * abs(v) + vehicle.N_rv * abs(r) + vehicle.d32, vehicle.N_vr * abs(v)]]
     D[1:, 1:] += np.array(cross)
     R = np.array([[np.cos(psi), -np.sin(psi), 0], [np.sin(psi), np.cos(psi), 0], [0, 0, 1]])
     return np.concatenate((R @ nu + [*current, 0], np.linalg.solve(M, np.array(tau) - loss - (C + D) @ nu)))

@@ -15,7 +15,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossTerms, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -172,15 +172,15 @@ class RandomMismatch:
                 f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
             )
         for end in (0.0, 1.0):
-            coefficients, cross_flow = self._drawn(lambda end=end: end, vehicle)  # type: ignore[misc]
-            Vehicle(*coefficients, **({} if cross_flow is None else cross_flow._asdict()))
+            coefficients, cross_terms = self._drawn(lambda end=end: end, vehicle)  # type: ignore[misc]
+            Vehicle(*coefficients, **({} if cross_terms is None else cross_terms._asdict()))
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
         return Vehicle.unchecked(*self._drawn(uniform, vehicle))
 
-    def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossFlow | None]:
-        """Return the parameters of one true vehicle; None without cross-flow."""
+    def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossTerms | None]:
+        """Return the parameters of one true vehicle; None without cross terms."""
         mass, ratio, m33, d11, d22, d33, q = (
             draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
         )
@@ -200,7 +200,7 @@ class RandomMismatch:
             vehicle.N_uv,
             vehicle.N_ur * d33,
         )
-        return coefficients, _crossed(vehicle, d11, d22, d33) if any(vehicle.cross_flow) else None
+        return coefficients, _crossed(vehicle, d11, d22, d33) if any(vehicle.cross_terms) else None
 
     def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
@@ -227,14 +227,15 @@ class RandomMismatch:
             vehicle.N_uv * one,
             vehicle.N_ur * d33,
         )
-        return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_flow) else coefficients
+        return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_terms) else coefficients
 
 
-def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossFlow:
-    """Return the cross-flow of a vehicle whose drags are multiplied by factors, floats or rows."""
+def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossTerms:
+    """Return the cross terms of a vehicle whose drags are multiplied by factors, floats or rows; eps is kept."""
     least = d22 + (d33 - d22) * (d33 < d22)
-    factors = (d11 if name[0] == "X" else least for name in CrossFlow._fields)
-    return CrossFlow(*(c * factor for c, factor in zip(vehicle.cross_flow, factors, strict=True)))
+    factors = (d11 if name[0] == "X" else least for name in CrossTerms._fields[:-1])
+    *damping, eps = vehicle.cross_terms
+    return CrossTerms._make([*(c * factor for c, factor in zip(damping, factors, strict=True)), eps + 0.0 * least])
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

@@ -34,12 +34,14 @@ def rates(
 ) -> tuple[Number, Number, Number, Number, Number]:
     """Return x_dot, y_dot [m/s] in still water, u_dot, v_dot [m/s^2] and r_dot [rad/s^2]; psi_dot is r, (1c).
 
-    The coefficients are `Vehicle.acting`: a vehicle's `Coefficients` and its `CrossFlow`, or the first of them alone,
-    or those `without_lift`. A foil damps astern as it does ahead, so lift goes with |u|; the sources, which look ahead
-    alone, write u. Signs of the cross-flow terms: see `auv_gym.physics.vehicle.Vehicle`.
+    The coefficients are `Vehicle.acting`: a vehicle's `Coefficients` and its `CrossTerms`, with d23, d32 and eps or
+    without; or the coefficients alone, or those `without_lift`. A foil damps astern as it does ahead, so lift goes with
+    |u|; the sources, which look ahead alone, write u. Signs of the cross terms, and the tracked point, which v and the
+    yaw moment refer to: see `auv_gym.physics.vehicle.Vehicle`.
     """
     m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *more = coefficients
     X, Y, N = load
+    v_P, torque, cross, eps = v, N, [], 0.0
     sway, munk = m11 * u, (m11 - m22) * u
     if more:
         Y_uv, Y_ur, N_uv, N_ur, *cross = more
@@ -47,19 +49,24 @@ def rates(
         sway, munk = sway - Y_ur * speed, munk + N_uv * speed
         d22, d33 = d22 + Y_uv * speed, d33 + N_ur * speed
         if cross:
-            X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr = cross
+            X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr, *linear = cross
+            d23, d32, eps = linear or (0.0, 0.0, 0.0)
+            v = v - eps * r
             slip, turn = abs(v), abs(r)
             X = X - (X_vv * v + X_vr * r) * v - X_rr * r * r
-            Y = Y - Y_rv * turn * v - (Y_vr * slip + Y_rr * turn) * r
-            N = N - (N_vv * slip + N_rv * turn) * v - N_vr * slip * r
+            Y = Y - Y_rv * turn * v - (Y_vr * slip + Y_rr * turn + d23) * r
+            N = N - (N_vv * slip + N_rv * turn + d32) * v - N_vr * slip * r
     c, s = ns.cos(psi), ns.sin(psi)
-    return (
-        u * c - v * s,  # (1a)
-        u * s + v * c,  # (1b)
+    x_dot, y_dot, u_dot, v_dot, r_dot = (
+        u * c - v_P * s,  # (1a)
+        u * s + v_P * c,  # (1b)
         (m22 * v * r - (d11 + X_uu * abs(u)) * u + X) / m11,  # (2a)
         (Y - sway * r - (d22 + Y_vv * abs(v)) * v) / m22,  # (2b)
         (munk * v - (d33 + N_rr * abs(r)) * r + N) / m33,  # (2c)
     )
+    if cross:  # the side force that comes with the torque N cancels eps N / m33
+        v_dot = v_dot + eps * (r_dot - torque / m33)
+    return x_dot, y_dot, u_dot, v_dot, r_dot
 
 
 def state_rates(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.dynamics import Load
-from auv_gym.physics.vehicle import CrossFlow
+from auv_gym.physics.vehicle import CrossTerms
 
 MAX_INTEGRATION_STEP = 0.5  # [s]
 MAX_STIFFNESS = 2.0
@@ -34,22 +34,27 @@ def fastest_rate(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST
     It is that of the drag, or that of the coupling of the three velocities. No speeds beyond those at which drag takes
     away all power that the load can give are in reach for long: |u| <= X / (2 d11) + sqrt(P / d11) by the linear drag,
     |u| <= sqrt(X / X_uu) + (P / X_uu)^(1/3) by the quadratic one, and so on. P is what the three loads can give: each
-    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift and surge loss are taken to give no power; Y_vv and
-    N_rr count less by what cross-flow may give.
+    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift and surge loss are taken to give no power; drag in
+    sway and yaw counts less by what the cross terms may give. The side force of a rudder, eps m22 / m33 times the
+    torque, is a part of the load.
 
     Args:
-        coefficients: a vehicle's `Coefficients`, with its `CrossFlow` behind them or without, floats or rows (n,).
+        coefficients: `Vehicle.all_coefficients`, floats or rows (n,).
         load: largest magnitudes.
         speeds: u, v, r at the start.
     """
     m11, m22, m33, *drags = (np.asarray(c, dtype=np.float64) for c in coefficients)
     linear, quadratic, (Y_uv, Y_ur, N_uv, N_ur) = drags[:3], drags[3:6], drags[6:10]
-    cross = CrossFlow(*drags[10:]) if len(drags) > 10 else None
-    sure = quadratic if cross is None else _sure(quadratic, cross)
-    u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(_reach(load, linear, sure), speeds, strict=True))
+    cross = CrossTerms(*drags[10:]) if len(drags) > 10 else None
+    slow, fast = linear, quadratic  # damping that takes power for sure
+    if cross is not None:
+        load = load[0], load[1] + cross.eps * m22 / m33 * load[2], load[2]
+        rest = np.fmax(1 - abs(cross.d23 + cross.d32) / np.sqrt(4 * linear[1] * linear[2]), 0.0)
+        slow, fast = [linear[0], rest * linear[1], rest * linear[2]], [*_sure(quadratic, cross)]
+    u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(_reach(load, slow, fast), speeds, strict=True))
     if cross is not None:  # astern, what turns take from the surge force is a load
         surge = load[0] + abs(cross.X_vv) * v * v + abs(cross.X_vr) * v * r + abs(cross.X_rr) * r * r
-        u, v, r = (np.maximum(a, b) for a, b in zip(_reach((surge, *load[1:]), linear, sure), (u, v, r), strict=True))
+        u, v, r = (np.maximum(a, b) for a, b in zip(_reach((surge, *load[1:]), slow, fast), (u, v, r), strict=True))
     moving = zip(linear, quadratic, (u, v, r), (m11, m22, m33), (0, Y_uv, N_ur), strict=True)
     decay = [(d + 2 * q * speed + lift * u) / m for d, q, speed, m, lift in moving]
     zero, sway, munk = 0 * u, m11 + abs(Y_ur), m22 - m11 + abs(N_uv)
@@ -72,7 +77,7 @@ def _reach(load: Load, linear: Sequence[Any], quadratic: Sequence[Any]) -> list[
         return [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
 
 
-def _sure(quadratic: Sequence[Any], cross: CrossFlow) -> tuple[Any, Any, Any]:
+def _sure(quadratic: Sequence[Any], cross: CrossTerms) -> tuple[Any, Any, Any]:
     """Return X_uu, and lower bounds of Y_vv and N_rr for any sign of the cross-flow terms.
 
     By |v|^2 |r| <= (2 |v|^3 + |r|^3) / 3, for v and r in units in which Y_vv and N_rr are equal.
@@ -87,16 +92,21 @@ def _sure(quadratic: Sequence[Any], cross: CrossFlow) -> tuple[Any, Any, Any]:
 
 
 def _crossed(
-    decay: list[Any], coupling: Any, cross: CrossFlow, speeds: tuple[Any, Any], masses: Sequence[Any]
+    decay: list[Any], coupling: Any, cross: CrossTerms, speeds: tuple[Any, Any], masses: Sequence[Any]
 ) -> tuple[list[Any], Any]:
-    """Return the rates of decay and of coupling with what cross-flow and surge loss add at most at v and r."""
-    X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr = (abs(c) for c in cross)
+    """Return the rates of decay and of coupling with what cross terms and surge loss add at most at v and r.
+
+    Decay is on the diagonal of the coupling as well, since linear cross terms couple what decays fast.
+    """
+    X_vv, X_vr, X_rr, Y_rv, Y_vr, Y_rr, N_vv, N_rv, N_vr, d23, d32, _ = (abs(c) for c in cross)
     (v, r), (m11, m22, m33) = speeds, masses
     more = 0 * v, ((Y_rv + Y_vr) * r) / m22, ((N_rv + N_vr) * v) / m33
     zero = 0 * v
     rows = (
         (zero, (2 * X_vv * v + X_vr * r) / m11, (X_vr * v + 2 * X_rr * r) / m11),
-        (zero, zero, ((Y_rv + Y_vr) * v + 2 * Y_rr * r) / m22),
-        (zero, (2 * N_vv * v + (N_rv + N_vr) * r) / m33, zero),
+        (zero, zero, ((Y_rv + Y_vr) * v + 2 * Y_rr * r + d23) / m22),
+        (zero, (2 * N_vv * v + (N_rv + N_vr) * r + d32) / m33, zero),
     )
-    return [a + b for a, b in zip(decay, more, strict=True)], coupling + np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    decay = [a + b for a, b in zip(decay, more, strict=True)]
+    diagonal = np.eye(3) * np.moveaxis(np.array(decay), 0, -1)[..., None]
+    return decay, coupling + np.moveaxis(np.array(rows), (0, 1), (-2, -1)) + diagonal

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle
 
 POWERS: Mapping[str, tuple[float, float, float]] = {
     "1": (0, 0, 0),
@@ -24,6 +24,7 @@ POWERS: Mapping[str, tuple[float, float, float]] = {
     "kg/m": (-1, 0, 1),
     "kg m^2": (2, 0, 1),
     "kg/s": (0, -1, 1),
+    "kg m/s": (1, -1, 1),
     "kg m^2/s": (2, -1, 1),
     "N": (1, -2, 1),
     "N m": (2, -2, 1),
@@ -33,10 +34,11 @@ POWERS: Mapping[str, tuple[float, float, float]] = {
 """Powers of length, time and mass in SI units."""
 DIMENSIONS: Mapping[str, str] = dict(
     zip(
-        (*Coefficients._fields, *CrossFlow._fields),
+        (*Coefficients._fields, *CrossTerms._fields),
         (
             *("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s", "kg/m", "kg/m", "kg m^2", "kg/m", "kg", "kg", "kg m"),
             *("kg/m", "kg", "kg m", "kg", "kg", "kg m", "kg", "kg m", "kg m"),
+            *("kg m/s", "kg m/s", "m"),
         ),
         strict=True,
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +42,8 @@ class Coefficients(NamedTuple):
         return self.m22 - (self.m11 - self.Y_ur)
 
 
-class CrossFlow(NamedTuple):
-    """The cross terms of quadratic damping, and the surge force that turns take: floats, or rows of shape (N,)."""
+class CrossTerms(NamedTuple):
+    """Cross terms of damping, the surge force that turns take, the tracked point: floats, or rows of shape (N,)."""
 
     X_vv: Number  # [kg/m]
     X_vr: Number  # [kg]
@@ -52,6 +54,9 @@ class CrossFlow(NamedTuple):
     N_vv: Number  # [kg]
     N_rv: Number  # [kg m]
     N_vr: Number  # [kg m]
+    d23: Number  # [kg m/s]
+    d32: Number  # [kg m/s]
+    eps: Number  # [m]
 
     def slopes(self, Y_vv: Number, N_rr: Number) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
         """Return what quadratic damping takes of the power, over |v|^3, as polynomials of |r/v|.
@@ -65,9 +70,14 @@ class CrossFlow(NamedTuple):
         )
 
 
+def with_names(rows: Sequence[Number]) -> Coefficients:
+    """Return rows of `Vehicle.all_coefficients` with the names of `Coefficients`; cross terms follow without names."""
+    return tuple.__new__(Coefficients, rows)
+
+
 _LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
-SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossFlow._fields)
+SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossTerms._fields[:-1])
 """Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
@@ -89,15 +99,21 @@ class Vehicle:
     `N_vv |v| v + N_rv |r| v + N_vr |v| r` from the yaw moment, beside Y_vv and N_rr; turns take
     `X_vv v^2 + X_vr v r + X_rr r^2` from the surge force. They are the hydrodynamic derivatives of T. I. Fossen,
     Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, chapter 6, with the other sign: Y_rv is
-    his -Y_|r|v. Each may have either sign.
+    his -Y_|r|v. Each may have either sign. Linear cross terms take `d23 r` from the sway force and `d32 v` from the yaw
+    moment.
+
+    A rudder that is `arm` behind the origin gives a side force -F_r / arm with its torque F_r. The point that is
+    eps = m33 / (m22 arm) ahead of the origin, the centre of percussion, does not feel this force. It is the tracked
+    point: positions x, y and the sway velocity v + eps r are those of this point, and only drag and lift act on it
+    sideways (K. D. Do and J. Pan, Control of Ships and Underwater Vehicles, Springer 2009). eps is 0 for a pure torque.
+
     The design speed acts on nothing: with mass and length it is the measure that scenarios and gains are scaled by, see
     `auv_gym.physics.units`.
 
     Raises:
         ValueError: a parameter is not finite or too large, one but `SIGNED_PARAMETERS` is negative, a mass or linear
             drag is zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it
-            describes need a slender body, quadratic damping would give power, or the design speed is outside of
-            `_SPEEDS`.
+            describes need a slender body, damping would give power, or the design speed is outside of `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -123,14 +139,17 @@ class Vehicle:
     N_vv: float = 0.0  # [kg] cross-flow: yaw moment of a sway velocity
     N_rv: float = 0.0  # [kg m] cross-flow: yaw moment of a sway velocity that grows with the yaw rate
     N_vr: float = 0.0  # [kg m] cross-flow: yaw drag that grows with the sway velocity
+    d23: float = 0.0  # [kg m/s] linear sway force of a yaw rate
+    d32: float = 0.0  # [kg m/s] linear yaw moment of a sway velocity
+    eps: float = 0.0  # [m] distance of the tracked point ahead of the origin; m33 / (m22 arm) for a rudder
 
     def __post_init__(self) -> None:
-        for name, value in (*self.coefficients._asdict().items(), *self.cross_flow._asdict().items()):
+        for name, value in (*self.coefficients._asdict().items(), *self.cross_terms._asdict().items()):
             if not is_float(value) or not abs(value) <= LARGEST_PARAMETER:
                 raise ValueError(
                     f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST_PARAMETER:g}"
                 )
-            if name[0] in "md" and value <= 0:
+            if name[0] in "md" and name in Coefficients._fields and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
             if value < 0 and name not in SIGNED_PARAMETERS:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
@@ -141,13 +160,18 @@ class Vehicle:
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
-        if any(self.cross_flow):
+        if any(self.cross_terms):
             self._check_damping()
 
     def _check_damping(self) -> None:
-        """Raise ValueError if quadratic damping gives power at some sway velocity and yaw rate."""
+        """Raise ValueError if damping gives power at some sway velocity and yaw rate."""
+        if (self.d23 + self.d32) ** 2 > 4 * self.d22 * self.d33:
+            raise ValueError(
+                f"the linear damping of sway and yaw gives power: |d23 + d32| is {abs(self.d23 + self.d32):.4g}; it "
+                f"must be at most 2 sqrt(d22 d33) = {2 * math.sqrt(self.d22 * self.d33):.4g} kg m/s"
+            )
         size = self.length
-        for slope in self.cross_flow.slopes(self.Y_vv, self.N_rr):
+        for slope in self.cross_terms.slopes(self.Y_vv, self.N_rr):
             power = np.array([c / size**k for k, c in enumerate(slope)])  # a polynomial of |r/v| times the length
             turning = np.roots((power * range(4))[:0:-1]).real  # where it may be least
             ratios = np.array([1e6, *turning[turning > 0]])
@@ -158,12 +182,12 @@ class Vehicle:
                 )
 
     @classmethod
-    def unchecked(cls, coefficients: Coefficients, cross_flow: CrossFlow | None = None) -> Vehicle:
+    def unchecked(cls, coefficients: Coefficients, cross_terms: CrossTerms | None = None) -> Vehicle:
         """Return a vehicle of parameters that are known to be valid, or of rows of those of N vehicles."""
         vehicle = object.__new__(cls)
         vehicle.__dict__.update(zip(Coefficients._fields, coefficients, strict=True), speed=cls.speed)
-        if cross_flow is not None:
-            vehicle.__dict__.update(cross_flow._asdict())
+        if cross_terms is not None:
+            vehicle.__dict__.update(cross_terms._asdict())
         return vehicle
 
     @property
@@ -182,19 +206,19 @@ class Vehicle:
         return any(getattr(self, name) for name in _LIFT)
 
     @property
-    def cross_flow(self) -> CrossFlow:
-        """The cross terms of quadratic damping and the surge loss in turns."""
-        return CrossFlow(*(getattr(self, name) for name in CrossFlow._fields))
+    def cross_terms(self) -> CrossTerms:
+        """The cross terms of damping, the surge loss in turns and the tracked point."""
+        return CrossTerms(*(getattr(self, name) for name in CrossTerms._fields))
 
-    @property
+    @cached_property
     def acting(self) -> tuple[Number, ...]:
         """The shortest row of coefficients that `dynamics.rates` takes for it."""
-        return self.all_coefficients if self.has_lift or any(self.cross_flow) else self.coefficients.without_lift
+        return self.all_coefficients if self.has_lift or any(self.cross_terms) else self.coefficients.without_lift
 
     @property
     def all_coefficients(self) -> tuple[Number, ...]:
-        """The coefficients, and cross-flow behind them if there is any."""
-        return (*self.coefficients, *self.cross_flow) if any(self.cross_flow) else self.coefficients
+        """The coefficients, and the cross terms behind them if there are any."""
+        return (*self.coefficients, *self.cross_terms) if any(self.cross_terms) else self.coefficients
 
     @property
     def coefficients(self) -> Coefficients:

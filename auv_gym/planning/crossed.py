@@ -1,9 +1,8 @@
-"""The plan of a vehicle with cross-flow, whose sway force is no longer linear in the yaw rate.
+"""The plan of a vehicle with cross terms, whose sway force is no longer linear in the yaw rate.
 
 With u = v_p cos(gamma), v = v_p sin(gamma) and gamma' = omega - r the sway equation (2b) is a balance without rates of
-the state: (m22 - m11) u r = m22 (v_p' sin(gamma) + u omega) + the damping at v and r. It is quadratic in r where r has
-one sign, so that r and gamma' follow from gamma and the path. The equation of gamma is integrated with classical
-Runge-Kutta steps over two samples.
+the state: v_p' sin(gamma) + u (omega - r) is the sway acceleration of `dynamics.rates` at u, v and r. Newton's method
+gives r, and with it gamma'. The equation of gamma is integrated with classical Runge-Kutta steps over two samples.
 """
 
 from __future__ import annotations
@@ -16,33 +15,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.codegen.derivatives import directional
-from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rates
-from auv_gym.physics.namespaces import Array, Namespace, Number
-from auv_gym.physics.vehicle import Coefficients, CrossFlow
+from auv_gym.physics.namespaces import Array
+from auv_gym.physics.vehicle import Coefficients
 from auv_gym.planning.sideslip import RATES, PathRates
 
-_VEHICLE = len(Coefficients._fields) + len(CrossFlow._fields)
+_ITERATIONS = 6  # of Newton's method; the balance is quadratic in r where v and r keep their signs
+_LARGEST_SINE = 0.9  # of the first sideslip
+_TOLERANCE = 1e-9  # largest residual of the balance, as a share of the accelerations in it
 
 
-def yaw_rate(along: PathRates, w: Number, acting: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:
-    """Return r [rad/s] at which no sway force is missing on a path, ahead, and whether there is one near no turn.
+def _missing(along: PathRates, w: Symbol, r: Symbol, acting: Sequence[Symbol]) -> tuple[Symbol, Symbol]:
+    """Return the sway acceleration [m/s^2] that is missing on a path at a yaw rate r, and the sum of the magnitudes."""
+    u, v = along.v_p * SYMBOLS.sqrt(abs(1 - w * w)), along.v_p * w
+    _, _, _, v_dot, _ = rates(along.beta, u, v, r, (0.0, 0.0, 0.0), acting, SYMBOLS)
+    needed = along.v_p_dot * w + u * along.omega
+    return needed - u * r - v_dot, abs(needed) + abs(u * r) + abs(v_dot)
+
+
+def _yaw_rate(along: PathRates, w: Symbol, acting: Sequence[Symbol]) -> tuple[Symbol, Symbol]:
+    """Return r [rad/s] at which no sway force is missing, and the derivative of what is missing by r there."""
+    r = 1.1 * along.omega  # a guess in a node of its own
+    for _ in range(_ITERATIONS):
+        missing, _ = _missing(along, w, r, acting)
+        (slope,) = directional([missing], {r.index: 1.0})
+        r = r - missing / slope
+    (slope,) = directional([_missing(along, w, r, acting)[0]], {r.index: 1.0})
+    return r, slope
+
+
+def steady_sideslips(along: Array, acting: Array) -> tuple[Array, Array]:
+    """Return the sine of the sideslip without the fast transient, and the rate [1/s] of this transient, shapes (n,).
 
     Args:
-        along: speed, direction and their rates along the path.
-        w: sine of the sideslip.
-        acting: coefficients of the vehicle and its cross-flow, see `Vehicle.acting`.
-        ns: the namespace of the numbers.
+        along: the rows of `RATES` at the samples, shape (6, n).
+        acting: see `Vehicle.acting`; with cross terms.
     """
-    c, x = Coefficients(*acting[: len(Coefficients._fields)]), CrossFlow(*acting[len(Coefficients._fields) :])
-    u, v = along.v_p * ns.sqrt(abs(1 - w * w)), along.v_p * w
-    slip = abs(v)
-    wanted = c.m22 * (along.v_p_dot * w + u * along.omega) + (c.d22 + c.Y_uv * u + c.Y_vv * slip) * v
-    side = ns.where(wanted < 0, -1.0, 1.0)  # of r
-    slope = (c.m22 - c.m11 + c.Y_ur) * u - x.Y_vr * slip - side * x.Y_rv * v
-    square = slope * slope - 4 * side * x.Y_rr * wanted
-    return 2 * wanted / (slope + ns.sqrt(abs(square))), (slope > 0) & (square > 0)
+    found = _steady(len(acting))(along=along, vehicle=acting)
+    return found["w"][0], found["rate"][0]
 
 
 def sideslips(along: Array, first: float, acting: Array, h: float) -> Array:
@@ -51,11 +63,13 @@ def sideslips(along: Array, first: float, acting: Array, h: float) -> Array:
     Args:
         along: the rows of `RATES` at the samples, shape (6, 2 n - 1).
         first: sine of the sideslip at the first sample.
-        acting: see `yaw_rate`.
+        acting: see `Vehicle.acting`; with cross terms.
         h: time [s] from one sample to the next.
     """
     times = np.concatenate((along[:, :-2:2], along[:, 1::2], along[:, 2::2])).T
-    found = _step()(len(times), w=np.array([[first]]), times=times[:, :, None], vehicle=acting, step=np.array([2 * h]))
+    found = _step(len(acting))(
+        len(times), w=np.array([[first]]), times=times[:, :, None], vehicle=acting, step=np.array([2 * h])
+    )
     return np.concatenate(([first], found["after"].ravel()))
 
 
@@ -64,19 +78,46 @@ def motion(along: Array, w: Array, acting: Array) -> tuple[Array, NDArray[np.boo
 
     And whether there is a yaw rate at which the sway forces balance, shape (n,).
     """
-    found = _motion()(along=along, w=w[None], vehicle=acting)
+    found = _motion(len(acting))(along=along, w=w[None], vehicle=acting)
     return found["motion"], found["there"][0] > 0
 
 
 @cache
-def _step() -> Kernel:
+def _steady(size: int) -> Kernel:
+    """Return the kernel of `steady_sideslips`, which has two estimates of gamma': 0, then the one that follows."""
+
+    def equation(along: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
+        path = PathRates(*along)
+
+        def solved(r: Symbol, w: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+            """Return the sine, what is missing and its derivative at a yaw rate, by Newton's method."""
+            for _ in range(_ITERATIONS):
+                missing, _ = _missing(path, w, r, vehicle)
+                (slope,) = directional([missing], {w.index: 1.0})
+                w = SYMBOLS.clip(w - missing / slope, -_LARGEST_SINE, _LARGEST_SINE)
+            missing, _ = _missing(path, w, r, vehicle)
+            return w, missing, directional([missing], {w.index: 1.0})[0]
+
+        w, missing, slope = solved(path.omega, -0.1 * path.omega)
+        changes = (path.v_p, path.v_p_dot), (path.omega, path.omega_dot), (path.v_p_dot, path.v_p_ddot)
+        directions = {**{symbol.index: rate for symbol, rate in changes}, w.index: 0.0}
+        w_dot = -directional([missing], directions)[0] / slope
+        w, _, slope = solved(r := path.omega - w_dot / SYMBOLS.sqrt(1 - w * w), w)
+        (by_r,) = directional([_missing(path, w, r, vehicle)[0]], {r.index: 1.0, w.index: 0.0})
+        return {"w": [w], "rate": [abs(slope / by_r)]}
+
+    return Kernel.traced(equation, {"along": len(RATES), "vehicle": size}, shared=["vehicle"])
+
+
+@cache
+def _step(size: int) -> Kernel:
     """Return one Runge-Kutta step of the sine of the sideslip, w' = cos(gamma) (omega - r)."""
 
     def equation(w: Any, times: Any, vehicle: Any, step: Any) -> Mapping[str, Sequence[Any]]:
         begin, middle, end = (PathRates(*times[k : k + len(RATES)]) for k in range(0, len(times), len(RATES)))
 
         def slope(along: PathRates, w: Any) -> Any:
-            return SYMBOLS.sqrt(abs(1 - w * w)) * (along.omega - yaw_rate(along, w, vehicle, SYMBOLS)[0])
+            return SYMBOLS.sqrt(abs(1 - w * w)) * (along.omega - _yaw_rate(along, w, vehicle)[0])
 
         (w_0,), (h,) = w, step
         a = slope(begin, w_0)
@@ -86,24 +127,27 @@ def _step() -> Kernel:
         after = w_0 + h / 6 * (a + 2 * (b + c) + d)
         return {"w": [after], "after": [after]}
 
-    sizes = {"w": 1, "times": 3 * len(RATES), "vehicle": _VEHICLE, "step": 1}
+    sizes = {"w": 1, "times": 3 * len(RATES), "vehicle": size, "step": 1}
     return Kernel.traced(equation, sizes, ["times", "after"], shared=["vehicle", "step"])
 
 
 @cache
-def _motion() -> Kernel:
+def _motion(size: int) -> Kernel:
     def equation(along: Any, w: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
         path, c = PathRates(*along), Coefficients(*vehicle[: len(Coefficients._fields)])
         cosine = SYMBOLS.sqrt(1 - w[0] * w[0])
-        r, there = yaw_rate(path, w[0], vehicle, SYMBOLS)
+        r, slope = _yaw_rate(path, w[0], vehicle)
+        missing, magnitude = _missing(path, w[0], r, vehicle)
         gamma_dot = path.omega - r  # (14)
         changes = w[0], path.v_p, path.omega, path.v_p_dot
         by_time = cosine * gamma_dot, path.v_p_dot, path.omega_dot, path.v_p_ddot
-        (r_dot,) = directional([r], {symbol.index: d for symbol, d in zip(changes, by_time, strict=True)})
+        directions = {symbol.index: d for symbol, d in zip(changes, by_time, strict=True)}
+        r_dot = -directional([missing], {**directions, r.index: 0.0})[0] / slope
+        there = (slope < 0) & (abs(missing) <= _TOLERANCE * magnitude)
         u, v, gamma = path.v_p * cosine, path.v_p * w[0], SYMBOLS.arcsin(w[0])  # (7), (8)
         u_dot, psi = path.v_p_dot * cosine - v * gamma_dot, path.beta - gamma  # (12), (10)
         _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), vehicle, SYMBOLS)
         F_u, F_r = c.m11 * (u_dot - u_free), c.m33 * (r_dot - r_free)  # (16)
         return {"motion": [psi, u, v, r, F_u, F_r, gamma], "there": [SYMBOLS.where(there, 1.0, 0.0)]}
 
-    return Kernel.traced(equation, {"along": len(RATES), "w": 1, "vehicle": _VEHICLE}, shared=["vehicle"])
+    return Kernel.traced(equation, {"along": len(RATES), "w": 1, "vehicle": size}, shared=["vehicle"])

@@ -69,10 +69,15 @@ def torque_limit(u: Number, limits: Sequence[Number], ns: Namespace) -> Number:
 
 
 def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError where the speed passes through zero or the deceleration exceeds its limit."""
+    """Raise InfeasibleReferenceError where the speed passes through zero or the deceleration exceeds its limit.
+
+    The limit is that of linear drag and lift. A vehicle with cross terms has no such limit: its sideslip is checked.
+    """
     valid = moving(v_p)
     valid[1:] &= gradual(np.diff(beta), ARRAYS)
     check_feasible(valid, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
+    if any(vehicle.cross_terms):
+        return
     rate, limit = braking(v_p, v_p_dot, vehicle)
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
 

@@ -19,7 +19,7 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.crossed import motion, sideslips
+from auv_gym.planning.crossed import motion, sideslips, steady_sideslips
 from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates, check_sideslip
 from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
 from auv_gym.planning.paths import Path, RandomSmooth, unstack
@@ -29,7 +29,9 @@ RUN_IN = 12.0  # time constants Dm/d22 integrated before the first sample; the i
 MAX_STEP = 0.4  # largest integration step, in time constants Dm/d22
 MAX_RESPONSE = 0.1  # largest integration step times `sideslip.response`; the integration is unstable above 0.3
 _NO_BALANCE = "no yaw rate balances the sway force of cross-flow"
-_FINER = 8  # samples in a step of `MAX_STEP` of a vehicle with cross-flow, see `crossed`
+_FINER = 2  # samples in a step of a vehicle with cross terms, see `crossed`
+_CROSSED_RESPONSE = 0.05  # `MAX_RESPONSE` of a vehicle with cross terms
+_SLOWEST = 10.0  # `Vehicle.time` of a vehicle with cross terms that count as a time constant in the run-in
 MAX_REFINEMENT = 128  # largest refinement of the step for `MAX_RESPONSE`
 MAX_SAMPLES = 2**21  # largest number of samples of a path, which bounds time and memory
 _CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
@@ -121,7 +123,7 @@ class Planner:
         self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
-        self._crossed = any(vehicle.cross_flow)
+        self._crossed = any(vehicle.cross_terms)
         self._slip_mass = vehicle.coefficients.slip_mass
         self._period = float(times[-1] - times[0]) / (len(times) - 1)
         time_constant = self._slip_mass / vehicle.d22
@@ -201,7 +203,8 @@ class Planner:
         damping, h = self.vehicle.d22, self._period / (self._substeps * refinement)
         if lift := self.vehicle.Y_uv:  # it reduces the time constant of the sideslip
             damping += lift * float(np.hypot(*path.derivatives(self.times[:1])[1, :, 0]))
-        lead = _even(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h, self._crossed)
+        run_in = RUN_IN * min(self._slip_mass / damping, _SLOWEST * self.vehicle.time if self._crossed else math.inf)
+        lead = _even(min(run_in, float(self.times[0] - path.start)) / h, self._crossed)
         if (grid := self._grids.get((lead, refinement))) is None:
             substeps, scale = self._substeps * refinement, h / self._slip_mass
             numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
@@ -219,14 +222,16 @@ class Planner:
         """
         k, grid = kernels(), self._grid(path)
         position, along, terms, response = self._along_path(path, grid)
-        refinement = min(math.ceil(grid.h / MAX_RESPONSE * response.max()), MAX_REFINEMENT)
+        acting, limit = np.array(self.vehicle.acting), MAX_RESPONSE
+        if self._crossed:
+            (_, response), limit = steady_sideslips(along, acting), _CROSSED_RESPONSE
+        refinement = min(math.ceil(grid.h / limit * float(np.nanmax(response))), MAX_REFINEMENT)
         if refinement > 1:
             grid = self._grid(path, refinement)
             position, along, terms, _ = self._along_path(path, grid)
         times, lead, every = grid.times(self.times), grid.lead, 2 if self._crossed else 1
         if self._crossed:
-            start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
-            w = sideslips(along, float(start[0, 0]), np.array(self.vehicle.acting), grid.h)
+            w = sideslips(along, float(steady_sideslips(along[:, :1], acting)[0][0]), acting, grid.h)
         else:
             w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
         check_sideslip(w[lead // every :], times[lead::every], position[:, lead::every])
@@ -236,7 +241,7 @@ class Planner:
         instants = np.s_[:, lead :: grid.substeps]
         w = w[lead // every :: grid.substeps // every]
         if self._crossed:
-            (*planned, gamma), there = motion(along[instants], w, np.array(self.vehicle.acting))
+            (*planned, gamma), there = motion(along[instants], w, acting)
             check_feasible(there, lambda _: _NO_BALANCE, self.times, position[instants])
         else:
             limits = np.array([*self._limits, *self.most])

@@ -16,7 +16,7 @@ from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.physics.sensors import low_pass
-from auv_gym.physics.vehicle import Coefficients, CrossFlow
+from auv_gym.physics.vehicle import Coefficients, CrossTerms
 from auv_gym.task.observation import failed, reward
 
 
@@ -89,7 +89,7 @@ class Parts(NamedTuple):
     sheared: bool = False  # current that depends on the position
     reckoned: bool = False  # dead reckoning between position fixes
     lifting: bool = False  # lift of the vehicle
-    crossed: bool = False  # cross-flow of the vehicle
+    crossed: bool = False  # cross terms of the vehicle
     finned: bool = False  # yaw torque of fins, which depends on the speed
     astern: bool = False  # smaller thrust astern than ahead
     span: int = 1  # factor of the bounds of an observation, see `observation.bounds`
@@ -155,7 +155,7 @@ class Parameters(NamedTuple):
     astern: Number  # largest thrust astern over thrust_u
     shear: Shear
     log: SpeedLog
-    cross_flow: CrossFlow  # of the true vehicle
+    cross_terms: CrossTerms  # of the true vehicle
     parts: Parts
 
     @classmethod
@@ -213,7 +213,7 @@ def moved(
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
     coefficients: Sequence[Number] = p.coefficients if p.parts.lifting else p.coefficients.without_lift
     if p.parts.crossed:
-        coefficients = *p.coefficients, *p.cross_flow
+        coefficients = *p.coefficients, *p.cross_terms
     for _ in range(p.parts.substeps):
         state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force

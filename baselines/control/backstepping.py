@@ -14,9 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+from auv_gym.physics.dynamics import rates
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Law
@@ -96,9 +97,13 @@ def backstepping_errors(o: Sequence[Number], mass_ratio: float, gains: Gains, ns
 
 
 def tracking_forces(
-    o: Sequence[Number], vehicle: Vehicle, gains: Gains, ns: Namespace = FLOATS
+    o: Sequence[Number], vehicle: Vehicle | Coefficients, gains: Gains, ns: Namespace = FLOATS
 ) -> tuple[Number, Number]:
-    """Return F_u [N], F_r [N m] of the tracking law from an `Observation` in SI units, or its terms in that order."""
+    """Return F_u [N], F_r [N m] of the tracking law from an `Observation` in SI units, or its terms in that order.
+
+    (21) and (22) are as printed, with linear drag. For a vehicle with cross terms they cancel all of its equations: as
+    printed they would not stabilise a torpedo whose fins give a side force.
+    """
     m11, m22, m33, cr = vehicle.m11, vehicle.m22, vehicle.m33, gains.cr
     z_u, z_v, z_r, g = backstepping_errors(o, m11 / m22, gains, ns)
     _, _, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR = o[:11]
@@ -106,6 +111,10 @@ def tracking_forces(
     tau_u = -kap * u_e - (gains.cu + gains.ku * kap * kap) * z_u  # (34)
     tau_r = -z_v - psi_e - cr * (g * g + 1) * r_e - (gains.c + gains.kc * cr * cr * g * g) * z_r  # (47)
     u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
+    row = vehicle if isinstance(vehicle, Coefficients) else vehicle.acting
+    if len(row) > len(Coefficients._fields):
+        now, wanted = (rates(0.0 * u, *nu, (0.0, 0.0, 0.0), row, ns) for nu in ((u, v, r), (u_R, v_R, r_R)))
+        return F_uR + m11 * (tau_u - now[2] + wanted[2]), F_rR + m33 * (tau_r - now[4] + wanted[4])
     return (
         F_uR + vehicle.d11 * u_e - m22 * (v * r - v_R * r_R) + m11 * tau_u,  # (21)
         F_rR + vehicle.d33 * r_e + (m22 - m11) * (u * v - u_R * v_R) + m33 * tau_r,  # (22)

@@ -17,7 +17,7 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Array, Namespace, Number
-from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
 from baselines.estimation.faults import after_delay
@@ -57,7 +57,8 @@ class EkfLaw:
         """Make the controller; the names of its gains are `EKF_GAINS` or `EKF_ADVERSE_GAINS`."""
         self.vehicle, self.gains = vehicle, undamped(gains)
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
-        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in EKF_LAW_GAINS)))[:, None]
+        self._known = np.array((*vehicle.all_coefficients, *(gains[name] for name in EKF_LAW_GAINS)))[:, None]
+        self._kernel = law_kernel(self.filter.faults, len(vehicle.all_coefficients))
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
@@ -68,27 +69,33 @@ class EkfLaw:
         *filters, plan = memory
         terms = np.array(o)
         after, z = self.filter.update(tuple(filters), terms)
-        result = law_kernel(self.filter.faults)(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
+        result = self._kernel(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
         F_u, F_r = result["force"]
         return F_u, F_r, (*after, result["plan"].T)
 
 
 @cache
-def law_kernel(faults: bool = False) -> Kernel:
-    """Return the kernel of the law; its inputs are observation, vehicle and gains, state of the filter, and plan."""
+def law_kernel(faults: bool = False, size: int = VEHICLE_ROWS) -> Kernel:
+    """Return the kernel of the law; its inputs are observation, vehicle and gains, state of the filter, and plan.
+
+    Args:
+        faults: whether the filter estimates faults.
+        size: number of rows of the vehicle, see `Vehicle.all_coefficients`. Cross terms count in forces and
+            predictions; the sideslip of the plan in water is that without them.
+    """
 
     def equation(
         o: Sequence[Symbol], known: Sequence[Symbol], z: Sequence[Symbol], plan: Sequence[Symbol]
     ) -> Mapping[str, Sequence[Any]]:
-        coefficients = Coefficients(*known[:VEHICLE_ROWS])
-        *gains, lead = known[VEHICLE_ROWS:]
+        coefficients = with_names(known[:size])
+        *gains, lead = known[size:]
         law, memory = undamped_symbols(gains), PlannedReference(*plan)
         after, force = _law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
         return {"plan": after, "force": force}
 
     rows = {
         "o": len(Observation._fields),
-        "known": VEHICLE_ROWS + len(EKF_LAW_GAINS),
+        "known": size + len(EKF_LAW_GAINS),
         "z": FAULT_FILTER_ROWS if faults else STATE_SIZE,
     }
     return Kernel.traced(equation, {**rows, "plan": len(PlannedReference._fields)}, structural=True, blocked=True)
@@ -150,11 +157,10 @@ def _blended_forces(
     mean of those with the tuned gains and those with the expert's gains, whose weight increases with the errors.
     """
     e_x, e_y, psi_e, _, _, _, u_R, v_R, *_ = errors
-    vehicle = cast(Vehicle, coefficients)
     far = (e_x * e_x + e_y * e_y) / (_FAR * _FAR * squared_speed(u_R, v_R, ns)) + (psi_e / FAR_HEADING) ** 2
     share = far * far / (1 + far * far)
-    u, r = tracking_forces(bounded_error(errors, _NEAR, ns), vehicle, gains, ns)
-    slow, fast = (tracking_forces(errors, vehicle, GAINS[name], ns) for name in ("paper", "cruise"))
+    u, r = tracking_forces(bounded_error(errors, _NEAR, ns), coefficients, gains, ns)
+    slow, fast = (tracking_forces(errors, coefficients, GAINS[name], ns) for name in ("paper", "cruise"))
     safe_u, safe_r = (ns.where(is_fast(u_R, v_R), b, a) for a, b in zip(slow, fast, strict=True))
     return u + share * (safe_u - u), r + share * (safe_r - r)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.dynamics import Force
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.dynamics import Force, rates
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.planning.planner import plan
@@ -27,7 +27,7 @@ def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tupl
     Errors are in the body frame, in SI units. The inputs are deviations from F_uR [N], F_rR [N m].
 
     Args:
-        vehicle: the vehicle; quadratic drag and lift are linearised.
+        vehicle: the vehicle; quadratic drag, lift and cross terms are linearised.
         u_R: surge velocity [m/s].
         v_R: sway velocity [m/s].
         r_R: yaw rate [rad/s].
@@ -48,9 +48,21 @@ def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tupl
             [0.0, 0.0, 0.0, yaw_u / m33, yaw_v / m33, -drag_r / m33],  # (20c)
         ]
     )
+    if any(vehicle.cross_terms):
+        A[3:, 3:] = _velocity_slopes(vehicle, (u_R, v_R, r_R))
     B = np.zeros((6, 2))
     B[3, 0], B[5, 1] = 1 / m11, 1 / m33
     return A, B
+
+
+def _velocity_slopes(vehicle: Vehicle, velocities: Sequence[float]) -> Array:
+    """Return the derivatives of u', v', r' by u, v, r without forces, shape (3, 3), by central differences."""
+
+    def changes(steps: Array) -> Array:
+        u, v, r = np.array(velocities)[:, None] + steps
+        return np.array(rates(0.0 * u, u, v, r, (0.0, 0.0, 0.0), vehicle.acting, ARRAYS)[2:])
+
+    return (changes(_STEP * np.eye(3)) - changes(-_STEP * np.eye(3))) / (2 * _STEP)
 
 
 @dataclass(frozen=True)

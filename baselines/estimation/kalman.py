@@ -20,14 +20,15 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import symmetric
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
-from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
 from auv_gym.task.observation import Observation
 from baselines.estimation.faults import FAULTS, LATE, Faults, after_delay
 from baselines.estimation.filter_equations import FIRST_NOISE, Belief, split, updated
 from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.policy import Memory
 
-VEHICLE_ROWS = len(Coefficients._fields)  # number of rows of a kernel's input that describe the vehicle
+VEHICLE_ROWS = len(Coefficients._fields)
+"""Number of rows of a kernel's input that describe a vehicle without cross terms."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class ExtendedKalmanFilter:
         rough = np.array(astuple(tuning))
         calm = rough.copy()
         calm[_SCALED] *= tuning.calm
-        self.known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
+        self.known = [np.array((*vehicle.all_coefficients, *values))[:, None] for values in (rough, calm)]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes; it must not be changed in place."""
@@ -112,7 +113,7 @@ class ExtendedKalmanFilter:
             The memory, and the rows of an `Estimate`, shape (22, N). If faults are estimated, the rows of `Faults` and
             the last actions, the latest first, follow: shape (`FAULT_FILTER_ROWS`, N).
         """
-        kernel, n = filter_kernel(self.faults), o.shape[1]
+        kernel, n = filter_kernel(self.faults, len(self.vehicle.all_coefficients)), o.shape[1]
         rows = [
             kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
             for known, before in zip(self.known, memory, strict=True)
@@ -142,20 +143,24 @@ def estimate_after_delay(o: Array, z: Array, vehicle: Vehicle) -> Array:
         z: the rows that a filter with faults returns for it, shape (`FAULT_FILTER_ROWS`, N).
         vehicle: the nominal one.
     """
-    known = repeated(np.array(vehicle.coefficients)[:, None], o.shape[1])
-    return delay_kernel()(o=o, z=z, known=known)["after"]
+    known = repeated(np.array(vehicle.all_coefficients)[:, None], o.shape[1])
+    return delay_kernel(len(known))(o=o, z=z, known=known)["after"]
 
 
 @cache
-def delay_kernel() -> Kernel:
-    """Return the kernel of `faults.after_delay`; its inputs are observation, rows of a filter and vehicle."""
+def delay_kernel(size: int = VEHICLE_ROWS) -> Kernel:
+    """Return the kernel of `faults.after_delay`; its inputs are observation, rows of a filter and vehicle.
+
+    Args:
+        size: number of rows of the vehicle, see `Vehicle.all_coefficients`.
+    """
 
     def equation(o: Sequence[Symbol], z: Sequence[Symbol], known: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
         terms, (estimate, faults, actions) = Observation(*o), parts(z)
         limits = terms.F_u_max, terms.F_r_max
-        return {"after": after_delay(estimate, faults, actions, limits, terms.dt, Coefficients(*known), SYMBOLS)}
+        return {"after": after_delay(estimate, faults, actions, limits, terms.dt, with_names(known), SYMBOLS)}
 
-    rows = {"o": len(Observation._fields), "z": FAULT_FILTER_ROWS, "known": VEHICLE_ROWS}
+    rows = {"o": len(Observation._fields), "z": FAULT_FILTER_ROWS, "known": size}
     return Kernel.traced(equation, rows, structural=True, blocked=True)
 
 
@@ -190,14 +195,19 @@ def _initial_memory(n: int, faults: bool) -> Array:
 
 
 @cache
-def filter_kernel(faults: bool = False) -> Kernel:
-    """Return the kernel of one update; its inputs are observation, vehicle and tuning, and memory."""
+def filter_kernel(faults: bool = False, size: int = VEHICLE_ROWS) -> Kernel:
+    """Return the kernel of one update; its inputs are observation, vehicle and tuning, and memory.
+
+    Args:
+        faults: whether faults are estimated.
+        size: number of rows of the vehicle, see `Vehicle.all_coefficients`.
+    """
     names = FAULT_TUNING if faults else FILTER_TUNING
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
-        tuning = SimpleNamespace(**dict(zip(names, known[VEHICLE_ROWS:], strict=True)))
-        after = updated(Observation(*o), Coefficients(*known[:VEHICLE_ROWS]), tuning, Belief.of(memory, faults))
+        tuning = SimpleNamespace(**dict(zip(names, known[size:], strict=True)))
+        after = updated(Observation(*o), with_names(known[:size]), tuning, Belief.of(memory, faults))
         return {"after": [row for part in after for row in part]}
 
-    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(names), "memory": sum(Belief.sizes(faults))}
+    rows = {"o": len(Observation._fields), "known": size + len(names), "memory": sum(Belief.sizes(faults))}
     return Kernel.traced(equation, rows, structural=True, blocked=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from auv_gym import __version__
 from auv_gym.envs.sub_environments import plan_of, reference_tables
-from auv_gym.physics.vehicle import CrossFlow, Vehicle
+from auv_gym.physics.vehicle import CrossTerms, Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
@@ -61,7 +61,7 @@ def _plain(part: Any) -> dict[str, Any]:
     if isinstance(part, Episode) and part.reckoning is None:
         del record["reckoning"]
     if isinstance(part, Vehicle):
-        later = "speed", *CrossFlow._fields
+        later = "speed", *CrossTerms._fields
         record = {name: x for name, x in record.items() if name not in later or x != getattr(Vehicle, name)}
     return record
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.physics.stiffness import fastest_rate
-from auv_gym.physics.vehicle import Coefficients, CrossFlow, Vehicle
+from auv_gym.physics.vehicle import Coefficients, CrossTerms, Vehicle
 from baselines.identification.least_squares import first_states, fit, leave
 from baselines.identification.log import Log
 from baselines.identification.model import (
     COEFFICIENTS,
-    CROSS_FLOW,
+    CROSS_TERMS,
     CURRENT_NAMES,
     LIMIT_NAMES,
     LogModel,
@@ -29,7 +29,7 @@ NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in COEFFICIENTS and f.d
 """Parameters of the vehicle that every vehicle has."""
 OPTIONAL = tuple(name for name in COEFFICIENTS if name not in NEEDED)
 """Parameters of the vehicle that are kept where the log tells them from 0."""
-PLAIN_TERMS = tuple(name for name in OPTIONAL if name not in CROSS_FLOW)
+PLAIN_TERMS = tuple(name for name in OPTIONAL if name not in CROSS_TERMS)
 """Those of them that are tried first."""
 RELAXATIONS = 3.0  # length of a segment, in the longest time constant of the drag
 FEWEST = 3  # segments of a log
@@ -171,12 +171,12 @@ def is_current(name: str) -> bool:
 def power_forms(names: Sequence[str], scales: Array) -> Array:
     """Return linear forms of the parameters that are negative where quadratic damping gives power, shape (K, P).
 
-    They are in units in which the scales of Y_vv and N_rr are 1, see `CrossFlow.slopes`.
+    They are in units in which the scales of Y_vv and N_rr are 1, see `CrossTerms.slopes`.
     """
-    at = {name: names.index(name) for name in (*CROSS_FLOW, "Y_vv", "N_rr")}
+    at = {name: names.index(name) for name in (*CROSS_TERMS, "Y_vv", "N_rr")}
     unit = np.cbrt(scales[at["N_rr"]] / scales[at["Y_vv"]])
     rows = np.eye(len(names))
-    cross = CrossFlow(*(rows[at[name]] for name in CROSS_FLOW))
+    cross = CrossTerms._make([*(rows[at[name]] for name in CROSS_TERMS), 0.0, 0.0, 0.0])
     ratios = _RATIOS[:, None] / unit
     forms = [
         sum(c * ratios**k for k, c in enumerate(slope)) / scales[at["Y_vv"]]

@@ -28,7 +28,7 @@ from baselines.identification.begin import (
 )
 from baselines.identification.least_squares import Left, first_states, fit
 from baselines.identification.log import Log, unwrapped
-from baselines.identification.model import COEFFICIENTS, CROSS_FLOW, LIMIT_NAMES, LogModel, parameter_names
+from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, LIMIT_NAMES, LogModel, parameter_names
 from baselines.identification.start import Begin
 from baselines.identification.stern_start import NOT_NEGATIVE_STERN
 from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise, whiteness
@@ -87,7 +87,7 @@ class Identified:
         """Return what the same parameters are where some rows do not count, whole segments each, shape (P,)."""
         names, begin = self.model.names, self.begin
         free = np.array([names.index(name) for name in self.free])
-        forms = power_forms(names, begin.scales) if set(CROSS_FLOW) & set(self.free) else None
+        forms = power_forms(names, begin.scales) if set(CROSS_TERMS) & set(self.free) else None
         arguments = begin.bounds, begin.scales, self.states, self.noise, forms, begin.sizes, ~rows
         return fit(self.model, self.values, free, *arguments)[0]
 
@@ -184,7 +184,7 @@ def identify(
         own = _Search(search.model, replace(begin, values=found.values, sizes=None), known, candidates)
         found = own.run() if own.explains() else found  # the log itself shows what it needs to
     if found.misfit and terms is None and log.kind == "force":
-        more = _Search(search.model, begin.with_terms(CROSS_FLOW), known, (*candidates, *CROSS_FLOW)).run()
+        more = _Search(search.model, begin.with_terms(CROSS_TERMS), known, (*candidates, *CROSS_TERMS)).run()
         gain = len(log.t) * float(np.sum(np.log(found.noise / more.noise)))
         found = more if gain > EVIDENCE else found
     return found
@@ -197,7 +197,7 @@ class _Search:
         self.model, self.begin, self.names, log = model, begin, model.names, model.log
         self.peaks = np.abs(log.commands).max(axis=0)
         self.scales, self.bounds = begin.scales, begin.bounds
-        self.forms = power_forms(self.names, self.scales) if set(CROSS_FLOW) & set(begin.free) else None
+        self.forms = power_forms(self.names, self.scales) if set(CROSS_TERMS) & set(begin.free) else None
         self.free, self.noise = list(begin.free), rough_noise(log)
         self.dropped: dict[str, ParameterEstimate] = {}
         self.known, self.terms, self.kept = known, terms, set(KEPT)

@@ -24,12 +24,12 @@ from auv_gym.physics.dynamics import Load, State, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.physics.steering import Stern, stern_load, thrust
-from auv_gym.physics.vehicle import Coefficients, CrossFlow
+from auv_gym.physics.vehicle import Coefficients, CrossTerms
 from auv_gym.physics.wind import WindDrag, wind_load
 from baselines.identification.log import Log
 
-CROSS_FLOW = CrossFlow._fields  # names of the cross terms of damping
-COEFFICIENTS = (*Coefficients._fields, *CROSS_FLOW)  # names of the parameters of the vehicle
+CROSS_TERMS = CrossTerms._fields[:9]  # names of the quadratic cross terms of damping, which are fitted
+COEFFICIENTS = (*Coefficients._fields, *CROSS_TERMS)  # names of the parameters of the vehicle
 LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators of forces
 STERN_NAMES: Mapping[str, tuple[str, ...]] = {
     "force": (),

@@ -31,7 +31,7 @@ TRIALS = 8  # paths on which a model is tested
 ENOUGH = 6  # number of them that it must be able to follow
 DECADES = {
     "d11": (7.0, 450.0),  # [kg/s] surge drag over speed at the design speed, including quadratic drag
-    "d22": (10.0, 900.0),  # [kg/s]
+    "d22": (1.8, 900.0),  # [kg/s]
     "d33": (6.0, 320.0),  # [kg m^2/s]
     "Y_vv": (25.0, 1300.0),  # [kg/m]
     "N_rr": (8.0, 950.0),  # [kg m^2]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from auv_gym.planning.paths import Path, Spline
 from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, as_scenario
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from baselines.evaluation.runner import Cell
@@ -34,7 +36,8 @@ _VALIDATION_EPISODES = 10  # episodes of a path family in a cell of benchmark-v1
 UNMODELLED_EPISODES = 30  # episodes of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
 DEEP_EPISODES = 60  # episodes in a cell of deep-v1
-VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
+FIRST_VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
+VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v2
 STRONGER = 1.5  # factor on current and waves in ood-v1
 FARTHER = 1.3  # factor on the ranges of the mismatch about 1 in ood-v1
 
@@ -134,11 +137,18 @@ def _deep() -> list[Recipe]:
     return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.deep_worlds()]
 
 
-def _vehicles() -> list[Recipe]:
-    """Return the recipes of all cases for each published vehicle at its own speeds; slow motion only without fins."""
+def _vehicles(counts: Mapping[str, int], folder: FilePath | None = None) -> list[Recipe]:
+    """Return the recipes of all cases for each published vehicle at its own speeds; slow motion only without fins.
+
+    Args:
+        counts: number of episodes in a cell, by speed range.
+        folder: has files that replace those of the same name in the package.
+    """
+    own = {name: name for name in vehicle_names()}
+    own |= {file.stem: str(file) for file in folder.glob("*.toml")} if folder else {}
     return [
-        Recipe(as_scenario(f"{speed_range}-{case}@{vehicle}"), GENTLE, episodes)
-        for speed_range, episodes in VEHICLE_EPISODES.items()
+        Recipe(changed(PRESETS[f"{speed_range}-{case}"], own[vehicle]), GENTLE, episodes)
+        for speed_range, episodes in counts.items()
         for vehicle in vehicle_names()
         if speed_range == "cruise" or not vehicle_model(vehicle).actuators.fin
         for case in CASES
@@ -205,7 +215,8 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
     "deep-v1": (1_000_005, _deep),
-    "vehicles-v1": (1_000_006, _vehicles),
+    "vehicles-v1": (1_000_006, lambda: _vehicles(FIRST_VEHICLE_EPISODES, FilePath(__file__).parent / "vehicles_v1")),
+    "vehicles-v2": (1_000_007, lambda: _vehicles(VEHICLE_EPISODES)),
     "sealed-v1": (None, lambda: _sealed(**sealed.FIRST)),
     "sealed-v2": (None, _sealed),
 }

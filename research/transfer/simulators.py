@@ -12,6 +12,7 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array, Namespace
+from auv_gym.scenarios.vehicles import vehicle_model
 from research.transfer.otter import OTTER, OTTER_VARIANTS
 from research.transfer.remus100 import REMUS100, REMUS100_VARIANTS
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, Vector
@@ -110,8 +111,16 @@ def rates_kernel(model: _Model) -> Kernel:
     return Kernel.traced(equation, {"began": model.size, "rows": model.size, **sizes})
 
 
+def _of_point(states: Array, eps: float) -> Array:
+    """Return x, y, psi, u, v, r of a point that is eps [m] ahead of the point of the given ones, shape (6, n)."""
+    x, y, psi, u, v, r = states
+    return np.array([x + eps * np.cos(psi), y + eps * np.sin(psi), psi, u, v + eps * r, r])
+
+
 class SixDofSimulator:
     """A `Simulator` with N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
+
+    Positions and velocities are those of the tracked point of the planar model.
 
     Args:
         vehicle: its name or its equations.
@@ -127,6 +136,8 @@ class SixDofSimulator:
                 f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
             )
         self._model = SIX_DOF_MODELS[vehicle] if isinstance(vehicle, str) else vehicle
+        known = vehicle_model(self._model.name).vehicle
+        self._eps, self._side = known.eps, known.eps * known.m22 / known.m33
         size = self._model.size
         rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}
@@ -140,16 +151,18 @@ class SixDofSimulator:
 
     def place(self, indices: Any, states: Array, deviations: Array) -> None:
         """See `Simulator.place`."""
-        self.rows[:, indices], self._arrays["deviation"][:, indices] = self._model.placed(states), deviations
+        self.rows[:, indices] = self._model.placed(_of_point(states, -self._eps))
+        self._arrays["deviation"][:, indices] = deviations
 
     def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
         """See `Simulator.advance`."""
-        self._arrays["inputs"][:] = inputs
+        acting = Inputs(*inputs)  # a yaw moment from outside comes with a side force, as in the planar model
+        self._arrays["inputs"][:] = acting._replace(Y=acting.Y - self._side * acting.N)
         steps = math.ceil(dt / STEP - 1e-9)
         for _ in range(steps):
             self._step(dt / steps)
         self._rates(0.0)
-        return self._arrays["level"].copy(), self._arrays["forces"].copy()
+        return _of_point(self._arrays["level"], self._eps), self._arrays["forces"].copy()
 
     def _step(self, h: float) -> None:
         """Advance by a classical Runge-Kutta step of h [s]."""

@@ -21,7 +21,7 @@ from auv_gym.scenarios.presets import PRESETS
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import COEFFICIENTS, CROSS_FLOW, FITTED_PARAMETERS, LIMIT_NAMES
+from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
 from baselines.identification.trials import EXAMPLE_CURRENT, Simulated, Trial, example, recorded
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -42,7 +42,7 @@ _OUTSIDE = {
     ),
 }
 """Plants with effects that the model does not have."""
-_SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_FLOW)
+_SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_TERMS)
 """Parameters that are counted: what is fitted where the model explains the log."""
 _FILE = "identify.json"  # of what was counted, in docs/
 _NEAR = 0.05  # share of the true value within which a fitted one is near

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
+from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_model, vehicle_names
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import linearise
@@ -31,7 +33,7 @@ def worst_growth(vehicle: VehicleModel, policy: str = "backstepping") -> float:
     """Return the largest real part [1/s] of the eigenvalues of a law on a vehicle: negative if it is locally stable.
 
     The motions are straight lines and turns as fast as those of the presets, at speeds from the slowest at which the
-    fins steer up to the design speed.
+    fins steer up to the design speed. Turns that the vehicle cannot follow are left out.
     """
     law, top = make_policy(policy, vehicle=vehicle.vehicle), vehicle.vehicle.speed
     time = Units.of(vehicle.vehicle).time
@@ -43,8 +45,12 @@ def worst_growth(vehicle: VehicleModel, policy: str = "backstepping") -> float:
         if share * top >= vehicle.slowest
     ]
     assert isinstance(law, Backstepping | SimilarLaw)
-    loops = (linearise(vehicle.vehicle, lambda o: law.forces(o, ARRAYS), U, w) for U, w in motions)
-    return max(float(loop.eigenvalues[0].real) for loop in loops)
+    growths = []
+    for U, w in motions:
+        with suppress(InfeasibleReferenceError):
+            loop = linearise(vehicle.vehicle, lambda o: law.forces(o, ARRAYS), U, w)
+            growths.append(float(loop.eigenvalues[0].real))
+    return max(growths)
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

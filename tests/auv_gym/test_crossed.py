@@ -1,4 +1,4 @@
-"""Vehicles with cross-flow: the yaw rate of the plan, and environments of one and of many vehicles."""
+"""Vehicles with cross terms: the yaw rate of the plan, and environments of one and of many vehicles."""
 
 import math
 from dataclasses import replace
@@ -10,13 +10,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from matrix_form import matrix_form
 
-from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.planning.crossed import yaw_rate
+from auv_gym.planning.crossed import motion
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Circle
 from auv_gym.planning.planner import plan
-from auv_gym.planning.sideslip import PathRates
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 
@@ -25,12 +23,20 @@ CROSSED = replace(
 )
 
 
-@given(st.floats(0.2, 2.0), st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5))
-def test_at_the_yaw_rate_of_the_plan_no_sway_force_is_missing(v_p, omega, v_p_dot, w):
-    r, there = yaw_rate(PathRates(v_p, 0.3, omega, v_p_dot, 0.0, 0.0), w, CROSSED.acting, FLOATS)
-    assume(there)
-    cosine = math.sqrt(1 - w * w)
-    v_dot = matrix_form([0.0, 0.0, 0.3, v_p * cosine, v_p * w, r], (0.0, 0.0, 0.0), CROSSED)[4]
+STEERED = replace(CROSSED, d23=15.0, d32=-5.0, eps=0.4)
+
+
+@pytest.mark.parametrize("vehicle", [CROSSED, STEERED])
+@given(v_p=st.floats(0.2, 2.0), omega=st.floats(-0.3, 0.3), v_p_dot=st.floats(-0.1, 0.1), w=st.floats(-0.5, 0.5))
+def test_at_the_yaw_rate_of_the_plan_no_sway_force_is_missing(vehicle, v_p, omega, v_p_dot, w):
+    along = np.array([[v_p], [0.3], [omega], [v_p_dot], [0.0], [0.0]])
+    planned, there = motion(along, np.array([w]), np.array(vehicle.acting))
+    assume(there[0])
+    r, F_u, F_r, cosine = *planned[3:6, 0], math.sqrt(1 - w * w)
+    state = [0.0, 0.0, 0.3, v_p * cosine, v_p * w - vehicle.eps * r, r]  # of the origin
+    side = -F_r * vehicle.eps * vehicle.m22 / vehicle.m33
+    _, _, _, _, v_dot, r_dot = matrix_form(state, (F_u, side, F_r), vehicle)
+    v_dot += vehicle.eps * r_dot  # of the tracked point
     assert v_dot == pytest.approx(v_p_dot * w + v_p * cosine * (omega - r), abs=1e-9)
 
 
@@ -56,6 +62,6 @@ def test_a_path_that_no_yaw_rate_follows_is_refused():
 
 def test_an_episode_of_a_vehicle_with_cross_flow_needs_a_scenario_that_has_one():
     episode = replace(PRESETS["cruise-calm"].draw(np.random.default_rng(0)), vehicle=CROSSED)
-    with pytest.raises(ValueError, match="the episode has a vehicle with cross-flow"):
+    with pytest.raises(ValueError, match="the episode has a vehicle with cross terms"):
         PRESETS["cruise-calm"].parameters(episode)
     assert Scenario.from_dict(replace(PRESETS["cruise-calm"], vehicle=CROSSED).to_dict()).vehicle == CROSSED

@@ -251,7 +251,7 @@ def test_every_draw_about_a_vehicle_with_cross_flow_takes_power():
     assert max(loss) > 15
     assert min(loss) < 7
     for vehicle in drawn:
-        Vehicle(*vehicle.coefficients, **vehicle.cross_flow._asdict())  # is not refused
+        Vehicle(*vehicle.coefficients, **vehicle.cross_terms._asdict())  # is not refused
     bound = fastest_rate(mismatch.extremes(crossed), (250.0, 0.0, 100.0)).max()
     rates = fastest_rate(tuple(np.array([v.acting for v in drawn]).T), (250.0, 0.0, 100.0))
     assert (rates <= bound * (1 + 1e-12)).all()

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from auv_gym.physics.dynamics import rates, rk4_step, state_rates
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)  # 4 Y_uv N_ur > (Y_ur + N_uv)^2: takes energy
@@ -88,16 +88,30 @@ def test_rates_are_the_papers_equations():
 def test_cross_flow_is_that_of_fossen():
     psi, u, v, r = sp.symbols("psi u v r", real=True)
     c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
-    f = CrossFlow(*sp.symbols(CrossFlow._fields, real=True))
+    f = CrossTerms(*sp.symbols(CrossTerms._fields, real=True))
+    f = f._replace(eps=0)
     with_it, bare = (rates(psi, u, v, r, (0, 0, 0), row, ns=sp) for row in ((*c, *f), c))
     X = -f.X_vv * v**2 - f.X_vr * v * r - f.X_rr * r**2
-    Y = -f.Y_rv * abs(r) * v - f.Y_vr * abs(v) * r - f.Y_rr * abs(r) * r
-    N = -f.N_vv * abs(v) * v - f.N_rv * abs(r) * v - f.N_vr * abs(v) * r
+    Y = -f.Y_rv * abs(r) * v - f.Y_vr * abs(v) * r - f.Y_rr * abs(r) * r - f.d23 * r
+    N = -f.N_vv * abs(v) * v - f.N_rv * abs(r) * v - f.N_vr * abs(v) * r - f.d32 * v
     added = [0, 0, X / c.m11, Y / c.m22, N / c.m33]
     assert [sp.simplify(a - b - e) for a, b, e in zip(with_it, bare, added, strict=True)] == [0] * 5
 
 
-@pytest.mark.parametrize(("vehicle", "terms"), [(PAPER_VEHICLE, 9), (ROUGH, 9), (FINNED, 13), (CROSSED, 22)])
+def test_a_rudder_moves_the_tracked_point_by_its_torque_alone():
+    """v + eps r of the equations about the origin, with the side force of a rudder at m33 / (m22 eps) behind it."""
+    psi, u, v, r, X, N = sp.symbols("psi u v r X N", real=True)
+    c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
+    f = CrossTerms(*sp.symbols(CrossTerms._fields, real=True))
+    side = -N * f.eps * c.m22 / c.m33
+    x_dot, y_dot, u_dot, v_dot, r_dot = rates(psi, u, v, r, (X, side, N), (*c, *f._replace(eps=0)), ns=sp)
+    forward, left = sp.cos(psi), sp.sin(psi)
+    expected = x_dot - f.eps * r * left, y_dot + f.eps * r * forward, u_dot, v_dot + f.eps * r_dot, r_dot
+    tracked = rates(psi, u, v + f.eps * r, r, (X, 0, N), (*c, *f), ns=sp)
+    assert [sp.simplify(a - b) for a, b in zip(tracked, expected, strict=True)] == [0] * 5
+
+
+@pytest.mark.parametrize(("vehicle", "terms"), [(PAPER_VEHICLE, 9), (ROUGH, 9), (FINNED, 13), (CROSSED, 25)])
 def test_what_a_vehicle_has_not_is_not_computed(vehicle, terms):
     assert len(vehicle.acting) == terms
 
@@ -117,7 +131,7 @@ def test_floats_arrays_and_tensors_agree():
 @VEHICLES
 def test_kinetic_energy_falls_by_the_work_of_drag(vehicle, state):
     m11, m22, m33, *drag = vehicle.coefficients
-    c = vehicle.cross_flow
+    c = vehicle.cross_terms
     (*_, u, v, r), (Y_uv, Y_ur, N_uv, N_ur) = state, drag[6:]
     rate = state_rates(state, (0.0, 0.0, 0.0), vehicle.acting)
     power = m11 * u * rate[3] + m22 * v * rate[4] + m33 * r * rate[5]

@@ -53,25 +53,30 @@ def test_drag_over_thrust_is_at_most_that_of_the_paper(name):
 
 @VEHICLE_NAMES
 def test_planned_forces_keep_the_vehicle_on_its_path(name):
-    """In still water, by Runge-Kutta steps of the matrix form."""
+    """In still water, by Runge-Kutta steps of the matrix form about the origin, with the side force of a rudder."""
     mine = vehicle_model(name)
     h, turn_rate = 0.02 * mine.vehicle.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.vehicle.time / mine.vehicle.time)
     path = PATHS["sine"].drawn(mine.vehicle.speed, turn_rate, random.Random(1).random)
     R = plan(
         path, mine.vehicle, h / 2 * np.arange(401), (mine.actuators.F_u_max, mine.actuators.F_r_max), mine.actuators.fin
     )
-    table = R.table
-    state = table[0, :6]
+    table, v = R.table, mine.vehicle
+
+    def point(state, ahead):
+        x, y, psi, u, sway, r = state
+        return np.array((x + ahead * np.cos(psi), y + ahead * np.sin(psi), psi, u, sway + ahead * r, r))
 
     def rates(state, k):
-        return matrix_form(state, (R.F_u[k], 0.0, R.F_r[k]), mine.vehicle)
+        return matrix_form(state, (R.F_u[k], -R.F_r[k] * v.eps * v.m22 / v.m33, R.F_r[k]), v)
+
+    state = point(table[0, :6], -v.eps)
 
     for k in range(0, 400, 2):
         a = rates(state, k)
         b = rates(state + h / 2 * a, k + 1)
         c = rates(state + h / 2 * b, k + 1)
         state = state + h / 6 * (a + 2 * (b + c) + rates(state + h * c, k + 2))
-    assert np.abs(state[:2] - table[400, :2]).max() < 1e-6 * mine.vehicle.length
+    assert np.abs(point(state, v.eps)[:2] - table[400, :2]).max() < 1e-6 * v.length
 
 
 @VEHICLE_NAMES

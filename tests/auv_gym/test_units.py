@@ -13,7 +13,7 @@ from similar_vehicles import similar_vehicle, twin
 from auv_gym import PRESETS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE, TERMS
@@ -26,7 +26,7 @@ FACTORS = st.floats(-2, 2).map(lambda x: 10**x)
 
 
 def test_units_of_the_coefficients_are_those_of_the_comments():
-    source = inspect.getsource(Coefficients) + inspect.getsource(CrossFlow)
+    source = inspect.getsource(Coefficients) + inspect.getsource(CrossTerms)
     stated = dict(re.findall(r"^    (\w+): Number  # \[(.+?)\]", source, re.MULTILINE))
     assert stated == DIMENSIONS
 
@@ -66,10 +66,10 @@ def test_the_papers_vehicle_in_any_units_is_the_papers_in_its_own(length, speed,
 
 def test_cross_flow_keeps_its_ratios_in_other_units():
     units = Units(2.0, 3.0, 5.0)
-    own = {"Y_vv": 1.0, "N_rr": 1.0} | dict.fromkeys(CrossFlow._fields, 0.1)
+    own = {"Y_vv": 1.0, "N_rr": 1.0} | dict.fromkeys(CrossTerms._fields, 0.1)
     scaled = {name: x * units.factor(*POWERS[DIMENSIONS[name]]) for name, x in own.items()}
     vehicle = replace(similar_vehicle(units), **scaled)
-    assert in_paper_units(vehicle).cross_flow == pytest.approx((0.1,) * 9)
+    assert in_paper_units(vehicle).cross_terms == pytest.approx((0.1,) * 12)
 
 
 def run(policy, scenario, steps=40):

@@ -18,7 +18,7 @@ DAMPED = replace(PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0)
 
 def test_paper_vehicle():
     assert PAPER_VEHICLE.coefficients == (215.0, 265.0, 80.0, 70.0, 100.0, 50.0, *[0.0] * 7)
-    assert (*PAPER_VEHICLE.coefficients._fields, *PAPER_VEHICLE.cross_flow._fields) == tuple(NAMES)
+    assert (*PAPER_VEHICLE.coefficients._fields, *PAPER_VEHICLE.cross_terms._fields) == tuple(NAMES)
     assert (PAPER_VEHICLE.length, PAPER_VEHICLE.speed) == (math.sqrt(80 / 215), 1.5)
     assert PAPER_VEHICLE.time == PAPER_VEHICLE.length / 1.5
 
@@ -69,7 +69,7 @@ def test_quadratic_damping_that_gives_power_is_refused(terms):
 @given(st.lists(st.floats(-150, 150), min_size=6, max_size=6))
 def test_quadratic_damping_that_is_accepted_takes_power(terms):
     try:
-        vehicle = replace(DAMPED, **dict(zip(NAMES[-6:], terms, strict=True)))
+        vehicle = replace(DAMPED, **dict(zip(NAMES[-9:-3], terms, strict=True)))
     except ValueError:
         vehicle = DAMPED
     v, r = np.random.default_rng(0).standard_normal((2, 2000))

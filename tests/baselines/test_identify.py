@@ -20,7 +20,7 @@ from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
 from baselines.identification.least_squares import Left
 from baselines.identification.log import LOG_COLUMNS
-from baselines.identification.model import COEFFICIENTS, CROSS_FLOW, FITTED_PARAMETERS, LogModel
+from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel
 from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
 from baselines.identification.uncertainty import covariance
 from baselines.tools.command_line import run
@@ -103,7 +103,7 @@ def ahead(straight):
 def test_a_minute_of_noise_shows_every_parameter_of_an_independent_plant(found):
     assert not found.misfit
     shown = [e for e in found.estimates if e.verdict != LEFT_OUT]
-    assert [e.name for e in found.estimates if e not in shown] == list(CROSS_FLOW)
+    assert [e.name for e in found.estimates if e not in shown] == list(CROSS_TERMS)
     for e in shown:
         near = abs(e.value - TRUE[e.name]) <= 0.05 * abs(TRUE[e.name])
         assert near or e.low <= TRUE[e.name] <= e.high, e
@@ -326,5 +326,5 @@ def test_coverage_counts(tmp_path, monkeypatch, capsys):
     records = json.loads(Path("new.json").read_text(encoding="utf-8"))
     record = records["the paper's vehicle"]
     assert sum(row["near"] for row in record["parameters"].values()) >= len(record["parameters"]) - 1
-    assert record["parameters"].keys() | set(CROSS_FLOW) == set(FITTED_PARAMETERS)
+    assert record["parameters"].keys() | set(CROSS_TERMS) == set(FITTED_PARAMETERS)
     assert [own["misfit"] for own in records.values()] == [0, 1, 1]

@@ -96,8 +96,8 @@ def test_inner_loops_give_the_commanded_force():
 class PlanarSimulator:
     """A `Simulator` with the planar equations of motion, for which the adapter must not change the results."""
 
-    def __init__(self, known):
-        self.known = known
+    def __init__(self, known, substeps):
+        self.known, self.substeps = known, substeps
 
     def place(self, indices, states, deviations):
         assert np.allclose(deviations, np.array(AS_PUBLISHED)[:, None])
@@ -105,8 +105,9 @@ class PlanarSimulator:
 
     def advance(self, inputs, dt):
         F_u, F_r, V_x, V_y, X, Y, N = inputs
-        state = rk4_step(tuple(self.states), (F_u + X, Y, F_r + N), self.known.coefficients, dt, (V_x, V_y), ARRAYS)
-        self.states = np.array(state)
+        load, h = (F_u + X, Y, F_r + N), dt / self.substeps
+        for _ in range(self.substeps):
+            self.states = np.array(rk4_step(tuple(self.states), load, self.known.acting, h, (V_x, V_y), ARRAYS))
         return self.states, inputs[:2]
 
     def kept(self):
@@ -120,7 +121,7 @@ def test_with_the_planar_equations_the_adapter_changes_nothing():
     scenario = replace(as_scenario("cruise-waves@remus100"), current=as_scenario("cruise-current@remus100").current)
     cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", scenario.vehicle)
     plain = rollout(policy, scenario, cell.episodes)
-    made = bodies(lambda _: PlanarSimulator(scenario.vehicle), scenario.vehicle)
+    made = bodies(lambda _: PlanarSimulator(scenario.vehicle, scenario.substeps), scenario.vehicle)
     other = rollout(policy, scenario, cell.episodes, bodies=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)

@@ -87,7 +87,8 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
         np.empty((steps, COMMAND_SIZE * STATE_ROWS, n)),
         np.zeros((1, n)),
     )
-    riccati_kernel().bound(
+    constant = problem.constant(n)
+    riccati_kernel(len(constant)).bound(
         slope=np.zeros((STATE_ROWS, n)),
         curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
         decrease=decrease,
@@ -95,7 +96,7 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
         command=plan.commands,
         after=plan.states[1:],
         stage=horizon.stages,
-        constant=problem.constant(n),
+        constant=constant,
         limits=horizon.limits,
         step=step,
         feedback=feedback,
@@ -104,8 +105,12 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
 
 
 @cache
-def riccati_kernel() -> Kernel:
-    """Return the kernel of `riccati_step`, which runs from the last stage to the first."""
+def riccati_kernel(size: int = CONSTANTS) -> Kernel:
+    """Return the kernel of `riccati_step`, which runs from the last stage to the first.
+
+    Args:
+        size: number of rows of vehicle and weights.
+    """
 
     def equation(
         slope: Any, curvature: Any, decrease: Any, stage: Any, constant: Any, limits: Any, **plan: Any
@@ -135,7 +140,7 @@ def riccati_kernel() -> Kernel:
         "command": COMMAND_SIZE,
         "after": STATE_ROWS,
         "stage": STAGE_ROWS,
-        "constant": CONSTANTS,
+        "constant": size,
         "limits": COMMAND_SIZE,
     }
     over_time = ("state", "command", "after", "stage", "step", "feedback")

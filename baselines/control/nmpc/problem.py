@@ -16,7 +16,7 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array, Number
-from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.sea_model import PLACE
 
@@ -166,21 +166,22 @@ def error_weight(stage: Stage, weights: CostWeights) -> Number:
 
 
 CONSTANTS = VEHICLE_ROWS + len(_WEIGHTS)
-"""Number of rows of a kernel's input that describe the problem: vehicle, then weights."""
+"""Number of rows of a kernel's input that describe the problem: a vehicle without cross terms, then weights."""
 
 
 def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
-    """Return coefficients and weights from the `CONSTANTS` rows of a kernel."""
-    weights = SimpleNamespace(**dict(zip(_WEIGHTS, rows[VEHICLE_ROWS:], strict=True)))
-    return Coefficients(*rows[:VEHICLE_ROWS]), weights
+    """Return coefficients and weights from the rows of a kernel that describe the problem."""
+    size = len(rows) - len(_WEIGHTS)
+    return with_names(rows[:size]), SimpleNamespace(**dict(zip(_WEIGHTS, rows[size:], strict=True)))
 
 
 @cache
-def prediction_kernel(feedback: bool) -> Kernel:
+def prediction_kernel(feedback: bool, size: int = CONSTANTS) -> Kernel:
     """Return the kernel that predicts states and cost for given commands, stage by stage.
 
     Args:
         feedback: whether to add the feedback of a Gauss-Newton step to the commands, and to clip them to the limits.
+        size: number of rows of vehicle and weights.
     """
 
     def equation(state: Any, cost: Any, stage: Any, constant: Any, commands: Any, **change: Any) -> Mapping[str, Any]:
@@ -196,7 +197,7 @@ def prediction_kernel(feedback: bool) -> Kernel:
         applied = {"applied": command} if feedback else {}
         return {"state": after, "cost": [cost[0] + costs[0] + costs[1] + costs[2]], "states": after, **applied}
 
-    rows = {"state": STATE_ROWS, "cost": 1, "stage": STAGE_ROWS, "constant": CONSTANTS, "commands": COMMAND_SIZE}
+    rows = {"state": STATE_ROWS, "cost": 1, "stage": STAGE_ROWS, "constant": size, "commands": COMMAND_SIZE}
     if feedback:
         rows |= {"limits": COMMAND_SIZE, "planned": STATE_ROWS, "gains": COMMAND_SIZE * STATE_ROWS}
     over_time = ("stage", "commands", "states", "applied", "planned", "gains")
@@ -211,8 +212,8 @@ class OptimalControl:
     weights: CostWeights
 
     def constant(self, n: int) -> Array:
-        """Return the rows of vehicle and weights for n vehicles, shape (CONSTANTS, n)."""
-        return repeated(np.array((*self.vehicle.coefficients, *astuple(self.weights)))[:, None], n)
+        """Return the rows of vehicle and weights for n vehicles, shape (rows, n)."""
+        return repeated(np.array((*self.vehicle.all_coefficients, *astuple(self.weights)))[:, None], n)
 
     def predict(
         self,
@@ -234,8 +235,10 @@ class OptimalControl:
         arrays |= {"commands": commands, "states": states[1:]}
         if plan is not None and change is not None:
             arrays |= {"limits": horizon.limits, "planned": plan.states[:-1], "gains": change.feedback}
-            prediction_kernel(True).bound(**arrays, applied=(applied := np.empty_like(commands)))(0, steps)
+            prediction_kernel(True, len(arrays["constant"])).bound(
+                **arrays, applied=(applied := np.empty_like(commands))
+            )(0, steps)
         else:
-            prediction_kernel(False).bound(**arrays)(0, steps)
+            prediction_kernel(False, len(arrays["constant"])).bound(**arrays)(0, steps)
             applied = commands
         return Plan(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf))
