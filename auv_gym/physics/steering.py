@@ -8,10 +8,14 @@ the propeller speeds that up.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from auv_gym.physics.dynamics import Load
+from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Number
+from auv_gym.physics.vehicle import LARGEST_PARAMETER
 
 _TINY = 1e-8  # [m^2/s^2] square of an inflow at which the root still has a slope
 
@@ -59,3 +63,52 @@ def stern_load(T: Number, angle: Number, u: Number, v: Number, r: Number, stern:
     slip = ns.sqrt(abs(inflow) + _TINY) * (stern.straight * w + stern.uneven * abs(w))
     force = stern.side * (inflow * sine - slip)
     return T - stern.drag * inflow * sine * sine, -force, stern.arm * force
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """A vehicle's propeller and rudder with their largest commands: the table [shaft] of its file.
+
+    Raises:
+        ValueError: a number is not finite, or a largest command is not positive.
+    """
+
+    n_max: float  # [1/s] largest revolutions of the propeller
+    angle_max: float  # [rad] largest angle of the rudder
+    T_nn: float  # [kg m] the coefficients of a `Stern`, with their units
+    side: float  # [kg/m]
+    arm: float  # [m]
+    T_nu: float = 0.0  # [kg]
+    drag: float = 0.0  # [kg/m]
+    wash: float = 0.0  # [m/kg]
+    wake: float = 0.0  # [1]
+    straight: float = 0.0  # [1]
+    uneven: float = 0.0  # [1]
+    neutral: float = 0.0  # [rad]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            low = 1e-9 if name.endswith("_max") else -LARGEST_PARAMETER
+            check_number(f"shaft {name}", getattr(self, name), low, LARGEST_PARAMETER)
+
+    @property
+    def stern(self) -> Stern:
+        """The coefficients."""
+        return Stern(*(getattr(self, name) for name in Stern._fields))
+
+    def forces(self, command: Sequence[Number], u: Number, v: Number, r: Number, ns: Any) -> tuple[Number, Number]:
+        """Return surge force [N] and yaw moment [N m] of commands in [-1, 1]: shares of `n_max` and `angle_max`.
+
+        The side force follows from the moment, see `auv_gym.physics.vehicle.Vehicle`. A positive angle turns to
+        positive r.
+
+        Args:
+            command: of the revolutions and of the angle.
+            u: surge velocity through water [m/s].
+            v: sway velocity of the origin through water [m/s].
+            r: yaw rate [rad/s].
+            ns: the namespace of the numbers.
+        """
+        n, angle = (ns.clip(c, -1.0, 1.0) * most for c, most in zip(command, (self.n_max, self.angle_max), strict=True))
+        X, _, N = stern_load(thrust(n, u, self.stern), angle, u, v, r, self.stern, ns)
+        return X, N

@@ -71,7 +71,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
     """
     missing = ", ".join(found.unknown) or "nothing"
     kind = found.model.log.kind
-    left_out = "rate limits, delay" if kind == "force" else "side force and drag of the rudder, wind"
+    left_out = "rate limits, delay" if kind == "force" else "wind; in environments, drag of the rudder"
     lines = [
         'name = "identified"',
         f"about = {_quoted(f'a vehicle fitted to the log {log}')}",
@@ -87,6 +87,8 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
         known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:
             lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {known}")
+    if vehicle.eps:
+        lines.append(f"eps = {float(f'{vehicle.eps:.6g}')!r}  # [m] m33 / (m22 arm)")
     lines.append(f"speed = {vehicle.speed:.6g}  # [m/s]")
     lines.append("\n[actuators]")
     peaks = np.abs(found.model.log.commands).max(axis=0).tolist()
@@ -95,9 +97,12 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
         known = known if peak else "not from the log"
         lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {known}")
     if kind != "force":
-        lines.append("\n# propeller and rudder, see auv_gym.physics.steering.Stern")
+        mark = "" if kind == "revolutions" else "# "  # without a propeller curve it is no shaft
+        lines.append(f"\n{mark}[shaft]")
+        most = zip(("n_max", "angle_max"), peaks, ("1/s", "rad"), strict=True)
+        lines += [f"{mark}{name} = {peak:.6g}  # [{unit}] the largest of the log" for name, peak, unit in most if peak]
         own = [found[name] for name in STERN_NAMES[kind]]
-        lines += [f"# {e.name} = {e.value:.6g}  # [{meanings()[e.name][0]}] {interval(e)}" for e in own]
+        lines += [f"{mark}{e.name} = {e.value:.6g}  # [{meanings()[e.name][0]}] {interval(e)}" for e in own]
     return "\n".join(lines) + "\n"
 
 

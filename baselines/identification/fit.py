@@ -99,6 +99,8 @@ class Identified:
     def vehicle(self, like: Vehicle | None = None) -> Vehicle:
         """Return the vehicle; what the log does not show is taken from another one. The design speed is the log's mean.
 
+        With a rudder its tracked point is the centre of percussion of the rudder's side force.
+
         Raises:
             ValueError: the log does not show all and no other vehicle is given, or no vehicle can be like that.
         """
@@ -110,7 +112,8 @@ class Identified:
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
             else:
                 values[name] = float(f"{value:.9g}")  # so that a refusal is no row of digits
-        return Vehicle(**values, speed=self.speed)
+        eps = values["m33"] / (values["m22"] * self["arm"].value) if "arm" in self.model.names else 0.0
+        return Vehicle(**values, speed=self.speed, eps=eps)
 
     @property
     def misfit(self) -> bool:

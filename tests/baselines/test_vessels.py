@@ -9,6 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.identification import Log, identify
 from baselines.identification.columns import Format
 from baselines.identification.command import PROGRAM, main
@@ -131,8 +134,30 @@ def test_the_command_predicts_held_out_runs(log, found, tmp_path, monkeypatch, c
     assert text.startswith("# The vehicle in 0.csv, 1.csv")
     assert "## Held-out runs" in text
     assert Path("out/held-out.png").exists()
+    turned_by_the_shaft(VehicleModel.load("out/vehicle.toml"))
     assert run(main, PROGRAM, ["0.csv", "--known", "m11"]) == 2
     assert "--known m11 must be NAME=VALUE" in capsys.readouterr().err
+
+
+def turned_by_the_shaft(model):
+    """Check that the written vehicle, with its shaft, turns as the plant does: its tracked point, in still water."""
+    v, shaft, h = model.vehicle, model.shaft, 0.05
+    plant, state = np.array([0.0, 0.0, 0.0, 0.7, 0.0, 0.0]), (v.eps, 0.0, 0.0, 0.7, 0.0, 0.0)
+    assert v.eps == pytest.approx(TRUE["m33"] / TRUE["m22"] / TRUE["arm"], rel=1e-4)
+    calm = {**TRUE, "X_air": 0.0, "Y_air": 0.0, "N_turn": 0.0}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(globals(), "TRUE", calm)
+        for _ in range(400):
+            plant = plant + h * np.array(
+                rates(plant + 0.5 * h * np.array(rates(plant, 9.0, 0.3, (0, 0))), 9.0, 0.3, (0, 0))
+            )
+            _, _, _, u, sway, r = state
+            F_u, F_r = shaft.forces((9.0 / shaft.n_max, 0.3 / shaft.angle_max), u, sway - v.eps * r, r, FLOATS)
+            state = rk4_step(state, (F_u, 0.0, F_r), v.acting, h)
+    x, y, psi, *_ = plant
+    assert psi > 1.0
+    assert state[2] == pytest.approx(psi, rel=0.02)
+    assert math.hypot(state[0] - x - v.eps * math.cos(psi), state[1] - y - v.eps * math.sin(psi)) < 0.15
 
 
 LOGS = os.environ.get("AUV_GYM_LOGS")

@@ -10,6 +10,7 @@ from typing import Any
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.intervals import check_number
+from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 from auv_gym.scenarios.records import from_record, guarded, read_table
@@ -36,6 +37,7 @@ class VehicleModel:
     turn_rate: float | None = None  # [rad/s] largest; None: 0.12 rad/s of the paper, scaled
     lag: float | None = None  # [s] approximate lag of the actuators; None: 0.2 s of the paper, scaled
     slowest: float = 0.0  # [m/s] least speed for steering by fins
+    shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "ours"):
@@ -64,6 +66,7 @@ class VehicleModel:
             turn_rate=None if self.turn_rate is None else self.turn_rate * units.time,
             lag=None if self.lag is None else self.lag / units.time,
             slowest=self.slowest / units.factor(length=1, time=-1),
+            shaft=None,
         )
 
     @classmethod

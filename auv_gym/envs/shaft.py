@@ -1,0 +1,88 @@
+"""Commands as they are sent to a vehicle: an environment whose actions are revolutions and a rudder angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import VectorActionWrapper, VectorEnv
+from numpy.typing import NDArray
+
+from auv_gym.envs.spaces import checked_action, checked_actions
+from auv_gym.physics.actuators import fin_share
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle_model
+
+_LEAST = 1e-6
+"""Least share of the fins' torque that is divided by; below, fins give none."""
+
+
+class ShaftAction(gym.ActionWrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]):
+    """An environment of this package whose action is (revolutions, rudder angle), as shares of their largest values.
+
+    Propeller and rudder turn them into a force and a moment at the velocities through water at the start of the control
+    period, see `auv_gym.physics.steering`. Limits, lag and delay of the scenario's actuators act on these, and the
+    observation still has the force and the moment as its last action.
+
+    Args:
+        env: a scalar environment of this package.
+        vehicle: a vehicle model, a name or a file with a table [shaft]; its `Vehicle` is that of the environment.
+
+    Raises:
+        ValueError: the vehicle has no shaft, or the environment has another vehicle.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], vehicle: VehicleModel | str) -> None:
+        super().__init__(env)
+        self._shafts = _Shafts(vehicle, [env.unwrapped.scenario])  # type: ignore[attr-defined]
+
+    def action(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the action of the wrapped environment for revolutions and rudder angle."""
+        own: Any = self.env.unwrapped
+        actions = self._shafts.action(np.array(checked_action(action))[None], own.state[None], own.current[None])
+        first: NDArray[np.float32] = actions[0]
+        return first
+
+
+class VectorShaftAction(VectorActionWrapper):
+    """`ShaftAction` for a vector environment of this package; arguments and errors are the same."""
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], vehicle: VehicleModel | str) -> None:
+        super().__init__(env)
+        self._shafts = _Shafts(vehicle, env.unwrapped.scenarios)  # type: ignore[attr-defined]
+
+    def actions(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the actions of the wrapped environment for revolutions and rudder angles, shape (N, 2)."""
+        own: Any = self.env.unwrapped
+        return self._shafts.action(checked_actions(actions, self.num_envs), own.state, own.current)
+
+
+class _Shafts:
+    """The shaft of a vehicle in N scenarios; arguments and errors are those of `ShaftAction`."""
+
+    def __init__(self, vehicle: VehicleModel | str, scenarios: Sequence[Scenario]) -> None:
+        model = as_vehicle_model(vehicle)
+        if model is None or model.shaft is None:
+            raise ValueError(f"vehicle {vehicle!r} has no propeller and rudder; its file needs a table [shaft]")
+        if any(scenario.vehicle != model.vehicle for scenario in scenarios):
+            raise ValueError(
+                f"the environment has another vehicle than {model.name!r}; make it with vehicle={model.name!r}"
+            )
+        self._shaft, self._eps = model.shaft, model.vehicle.eps
+        limits = [(s.actuators.F_u_max, s.actuators.F_r_max, s.actuators.fin) for s in scenarios]
+        self._F_u_max, self._F_r_max, self._fin = np.array(limits).T
+
+    def action(self, commands: NDArray[Any], states: Array, currents: Array) -> NDArray[np.float32]:
+        """Return the actions (N, 2) for commands (N, 2) at states over ground (N, 6) in currents (N, 2)."""
+        (_, _, psi, u, v, r), (V_x, V_y) = states.T, currents.T
+        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        u, v = u - V_u, v - V_v - self._eps * r
+        F_u, F_r = self._shaft.forces((commands[:, 0], commands[:, 1]), u, v, r, ARRAYS)
+        torque = self._F_r_max * np.maximum(fin_share(u, self._fin, self._F_r_max, ARRAYS), _LEAST)
+        shares = np.stack((F_u / self._F_u_max, F_r / torque), axis=1)
+        actions: NDArray[np.float32] = np.clip(shares, -1.0, 1.0).astype(np.float32)
+        return actions
