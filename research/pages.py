@@ -30,7 +30,7 @@ SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1"
 PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
-    "results/vehicles-v1": "research.results.vehicles",
+    "results/vehicles-v2": "research.results.vehicles",
     "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
     "transfer": "research.transfer.page",

@@ -40,7 +40,7 @@ from research.trainings.trainings import (
 PROGRAM = "python -m research study"
 OF_ALL_VEHICLES = "helm-any"
 """Agent that also runs on the suites with other vehicles."""
-OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v1")
+OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v2")
 """Suites of the paper's vehicle."""
 
 

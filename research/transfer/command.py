@@ -23,7 +23,7 @@ from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
-from research.transfer.comparison import TRANSFER_FILE, TransferTask, growth_of_variants, summary
+from research.transfer.comparison import TRANSFER_FILE, TransferTask, summary
 from research.transfer.page import verdict
 from research.transfer.simulators import SIX_DOF_MODELS
 
@@ -91,7 +91,6 @@ def main(arguments: Sequence[str]) -> int:
     for vehicle in options.vehicle:
         record[vehicle] = {
             **summary(_results(options, vehicle)),
-            "causes": growth_of_variants(vehicle, options.episodes),
             "trials": trials.steady_motion(vehicle),
         }
         print(f"{vehicle}: {verdict(record[vehicle])}", flush=True)

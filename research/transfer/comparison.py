@@ -21,7 +21,7 @@ from baselines.policies import make_policy
 from research import DATA
 from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
-from research.transfer.simulators import SIX_DOF_VARIANTS, SixDofSimulator
+from research.transfer.simulators import SixDofSimulator
 
 TRANSFER_FILE = DATA / "transfer.json"  # record of the results
 _SPEED_RANGE = "cruise"  # the only speed range of vehicles with fins
@@ -39,7 +39,6 @@ class TransferTask:
     vehicle: str
     cases: tuple[str, ...]
     episodes: int  # number of episodes of each case
-    variant: str = ""  # one of the `SIX_DOF_VARIANTS` of the vehicle, in place of the published one
 
     def run(self) -> tuple[TransferTask, dict[str, Any]]:
         """Return the task and its results by case: steady-state errors [m] and failures in each simulator."""
@@ -63,8 +62,7 @@ class TransferTask:
         """Return the argument `bodies` of `beginning` for a simulator; None for the plane."""
         if place == PLANE:
             return None
-        vehicle: Any = SIX_DOF_VARIANTS[self.vehicle][self.variant] if self.variant else self.vehicle
-        return bodies(lambda n: SixDofSimulator(vehicle, n), vehicle_model(self.vehicle).vehicle)
+        return bodies(lambda n: SixDofSimulator(self.vehicle, n), vehicle_model(self.vehicle).vehicle)
 
     def measures(self, place: str) -> Measures:
         """Run the policy in a simulator, `PLANE` or `SPACE`, and return the measures of its episodes, case by case."""
@@ -76,29 +74,6 @@ class TransferTask:
         for k, moment in enumerate(play(policy, begun, scenario.steps)):
             log.add(k, moment)
         return log.measures(scenario)
-
-
-_VARIANT_CASE = "current"
-"""Case of the comparison of variants: a steady disturbance in which the errors grow."""
-_VARIANT_POLICIES = ("los-pid", "ekf")
-"""Policies of the comparison of variants: one with feedback only, and one with a vehicle model."""
-
-
-def growth_of_variants(vehicle: str, episodes: int) -> dict[str, Any]:
-    """Return the growth of the mean steady-state error for each variant of a vehicle in six degrees of freedom.
-
-    Args:
-        vehicle: name of the vehicle.
-        episodes: number of episodes.
-    """
-    growth: dict[str, dict[str, float]] = {variant: {} for variant in SIX_DOF_VARIANTS[vehicle]}
-    for policy in _VARIANT_POLICIES:
-        task = TransferTask(policy, vehicle, (_VARIANT_CASE,), episodes)
-        plane = task.measures(PLANE).steady_rmse.mean()
-        for variant, found in growth.items():
-            space = replace(task, variant=variant).measures(SPACE).steady_rmse.mean()
-            found[policy] = float(space / plane)
-    return {"case": _VARIANT_CASE, "policies": list(_VARIANT_POLICIES), "episodes": episodes, "growth": growth}
 
 
 def concordance(a: Array, b: Array) -> NDArray[np.float64]:

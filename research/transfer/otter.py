@@ -89,10 +89,7 @@ def shares(F_u: Number, F_r: Number, ns: Namespace) -> tuple[Number, Number]:
 
 @dataclass(frozen=True)
 class Otter:
-    """The vehicle as a `simulators._Model`, with or without some effects."""
-
-    pushed: float = 1.0  # share of the component of the payload's weight along the pitched boat
-    crossed: bool = True  # see `six_dof.cross_flow`
+    """The vehicle as a `simulators._Model`."""
 
     name: ClassVar[str] = "otter"
     size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
@@ -152,7 +149,7 @@ class Otter:
     def payload(self, s: SpatialMotion, ns: Namespace) -> tuple[Number, ...]:
         """Return the weight of the payload [N] and its moment [N m] about the origin, in body axes."""
         W, (x, _, z) = PAYLOAD * GRAVITY, PAYLOAD_CENTRE
-        X = -W * ns.sin(s.theta) * self.pushed
+        X = -W * ns.sin(s.theta)
         Y = W * ns.cos(s.theta) * ns.sin(s.phi)
         Z = W * ns.cos(s.theta) * ns.cos(s.phi)
         return X, Y, Z, -z * Y, -z * W * ns.sin(s.theta) - x * Z, x * Y
@@ -166,7 +163,7 @@ class Otter:
     def body_forces(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the sum of drag, restoring forces and payload [N], [N m]."""
         D = self.damping
-        Y, N = cross_flow(s.v, s.r, _LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY, self.crossed)
+        Y, N = cross_flow(s.v, s.r, _LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY)
         drag = (
             -d.d_u * D[0] * s.u - d.X_uu * abs(s.u) * s.u,
             d.d_v * (Y - D[1] * s.v) - d.Y_vv * abs(s.v) * s.v,
@@ -200,10 +197,3 @@ class Otter:
 
 OTTER = Otter()
 """The vehicle."""
-OTTER_VARIANTS = {
-    "as published": OTTER,
-    "no push of the payload": Otter(pushed=0.0),
-    "no yaw drag of a sideslip": Otter(crossed=False),
-    "neither": Otter(0.0, False),
-}
-"""The vehicle with and without the effects that may explain the difference to the plane."""

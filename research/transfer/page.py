@@ -17,7 +17,7 @@ def context(_: str = "") -> dict[str, Any]:
 
 def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the texts and tables of a vehicle."""
-    tau, cases, causes = (record[key] for key in ("tau", "cases", "causes"))
+    tau, cases = record["tau"], record["cases"]
     policies = sorted(record["policies"].items(), key=lambda item: item[1]["plane_m"])
     ranks = [*(f"{tau['by_case'][case]:.2f}" for case in cases), f"{tau['all']:.2f} ({_ends(tau['ci95'])})"]
     return {
@@ -26,11 +26,6 @@ def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
         "cases": cases,
         "policies": [_policy(policy, own, cases) for policy, own in policies],
         "ranks": ["tau", *ranks, f"{tau['medians']:.2f}"],
-        "causes": {
-            "case": causes["case"],
-            "policies": [f"`{policy}`" for policy in causes["policies"]],
-            "growth": [(what, *(f"{of[p]:.2f}" for p in causes["policies"])) for what, of in causes["growth"].items()],
-        },
         "trials": _trials(record["trials"]),
     }
 

@@ -139,11 +139,7 @@ def pitch_error(s: SpatialMotion, a: _Actuators) -> Number:
 
 @dataclass(frozen=True)
 class Remus100:
-    """The vehicle as a `simulators._Model`, with or without some effects."""
-
-    propeller_lag: float = PROPELLER_LAG  # [s]
-    side_force: float = 1.0  # share of the rudder's side force
-    crossed: bool = True  # see `six_dof.cross_flow`
+    """The vehicle as a `simulators._Model`."""
 
     name: ClassVar[str] = "remus100"
     size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
@@ -194,7 +190,7 @@ class Remus100:
         Y = -k * RUDDER_LIFT * level_2 * a.rudder
         Z = -k * PLANE_LIFT * upright_2 * a.plane
         X = T + Y * a.rudder + Z * a.plane
-        return X, self.side_force * Y, Z, TORQUE_SHARE * Q, _NOSE * Z, -_NOSE * Y
+        return X, Y, Z, TORQUE_SHARE * Q, _NOSE * Z, -_NOSE * Y
 
     def body_forces(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
         """Return drag, lift and restoring forces [N] and moments [N m] of the body."""
@@ -208,7 +204,7 @@ class Remus100:
         pressure = 0.5 * _DENSITY * speed_2 * DRAG_AREA
         drag = pressure * (least + lift * lift / (math.pi * OSWALD * aspect))
         c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
-        Y, N = cross_flow(s.v, s.r, _LENGTH, DIAMETER, DIAMETER, _DENSITY, self.crossed)
+        Y, N = cross_flow(s.v, s.r, _LENGTH, DIAMETER, DIAMETER, _DENSITY)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
         return (
             d.d_u * (n * lift - c * drag - M[0] / T_SURGE * decay * s.u) - d.X_uu * abs(s.u) * s.u,
@@ -255,7 +251,7 @@ class Remus100:
             self.actuation(s, a, ns), self.body_forces(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True
         )
         forces = [acting + body + other - turning for acting, body, other, turning in parts]
-        lags = FIN_LAG, FIN_LAG, self.propeller_lag
+        lags = FIN_LAG, FIN_LAG, PROPELLER_LAG
         return [
             *place_rates(s, (inputs.V_x, inputs.V_y), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
@@ -267,11 +263,3 @@ class Remus100:
 
 REMUS100 = Remus100()
 """The vehicle."""
-REMUS100_VARIANTS = {
-    "as published": REMUS100,
-    "a propeller as quick as the fins": Remus100(propeller_lag=FIN_LAG),
-    "no side force of the rudder": Remus100(side_force=0.0),
-    "no yaw drag of a sideslip": Remus100(crossed=False),
-    "none of the three": Remus100(FIN_LAG, 0.0, False),
-}
-"""The vehicle with and without the effects that may explain the difference to the plane."""

@@ -13,8 +13,8 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array, Namespace
 from auv_gym.scenarios.vehicles import vehicle_model
-from research.transfer.otter import OTTER, OTTER_VARIANTS
-from research.transfer.remus100 import REMUS100, REMUS100_VARIANTS
+from research.transfer.otter import OTTER
+from research.transfer.remus100 import REMUS100
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, Vector
 
 STEP = 0.02  # [s] longest integration step, as in the source
@@ -51,8 +51,6 @@ class _Model(Protocol):
 
 SIX_DOF_MODELS: Mapping[str, _Model] = {model.name: model for model in (REMUS100, OTTER)}
 """The models by the names of their vehicles."""
-SIX_DOF_VARIANTS: Mapping[str, Mapping[str, _Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
-"""Variants of the models without some effects, by vehicle; the first variant is the published model."""
 
 
 class Simulator(Protocol):
@@ -123,19 +121,19 @@ class SixDofSimulator:
     Positions and velocities are those of the tracked point of the planar model.
 
     Args:
-        vehicle: its name or its equations.
+        vehicle: its name.
         n: N.
 
     Raises:
         ValueError: there is no such vehicle.
     """
 
-    def __init__(self, vehicle: str | _Model, n: int) -> None:
-        if isinstance(vehicle, str) and vehicle not in SIX_DOF_MODELS:
+    def __init__(self, vehicle: str, n: int) -> None:
+        if vehicle not in SIX_DOF_MODELS:
             raise ValueError(
                 f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
             )
-        self._model = SIX_DOF_MODELS[vehicle] if isinstance(vehicle, str) else vehicle
+        self._model = SIX_DOF_MODELS[vehicle]
         known = vehicle_model(self._model.name).vehicle
         self._eps, self._side = known.eps, known.eps * known.m22 / known.m33
         size = self._model.size

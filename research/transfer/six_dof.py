@@ -137,9 +137,7 @@ def section_drag(beam: float, draft: float) -> float:
     return float(np.interp(half, *known))
 
 
-def cross_flow(
-    v: Number, r: Number, length: float, beam: float, draft: float, density: float, crossed: bool = True
-) -> tuple[Number, Number]:
+def cross_flow(v: Number, r: Number, length: float, beam: float, draft: float, density: float) -> tuple[Number, Number]:
     """Return sway force [N] and yaw moment [N m] of the cross flow by strip theory, Fossen (2021), section 6.4.
 
     Args:
@@ -149,15 +147,14 @@ def cross_flow(
         beam: beam of a section [m].
         draft: draft of a section [m].
         density: density of the water [kg/m^3].
-        crossed: whether the cross terms are included: yaw drag from a sideslip and sway drag from a turn.
     """
     k = 0.5 * density * draft * section_drag(beam, draft) * length / STRIPS
     Y: Number = 0.0
     N: Number = 0.0
     for i in range(STRIPS + 1):
         x = length * (i / STRIPS - 0.5)
-        along, turning = (v + x * r, v + x * r) if crossed else (v, x * r)
-        Y, N = Y - k * abs(along) * along, N - k * x * abs(turning) * turning
+        across = v + x * r
+        Y, N = Y - k * abs(across) * across, N - k * x * abs(across) * across
     return Y, N
 
 

@@ -37,7 +37,7 @@ SAMPLE = {
     "unmodelled-v1": "slow-everything",
     "deep-v1": "cruise-deep",
     "sealed-v1": "slow-far-start",
-    "vehicles-v1": "cruise-storm@otter",
+    "vehicles-v2": "cruise-storm@otter",
 }
 CLOSEST = 1e-6
 """Largest relative difference on another processor; on the processor of the recording the rows are equal."""

@@ -179,7 +179,7 @@ def test_a_stale_page_is_named_and_written(tmp_path, capsys):
 
 def test_the_sentences_of_the_summary_are_true():
     """The suites in which `helm` does not lead, and the errors of the table, which are above the lower bounds."""
-    unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v1"))
+    unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v2"))
 
     def mean(results, policy, speed_range):
         return np.concatenate([m.steady_rmse for m in results.measures(policy, speed_range)]).mean()

@@ -266,7 +266,7 @@ def test_helm_fails_in_no_recorded_episode_in_which_the_expert_does_not():
     `helm` was trained for the paper's vehicle only.
     """
     failed = 0
-    for suite in (name for name in recorded.RECORDED_SUITES if name != "vehicles-v1"):
+    for suite in (name for name in recorded.RECORDED_SUITES if name != "vehicles-v2"):
         rows = [
             np.load(found(recorded.RECORDED_FOLDER, f"{suite}/{name}.npz"))["measures"]
             for name in ("helm", "backstepping")
