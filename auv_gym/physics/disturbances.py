@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,6 +144,10 @@ class RandomMismatch:
     The factor of a drag applies to its linear and quadratic part, and to the lift, which grows with the surge velocity.
     Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
     loss in turns has the factor of the surge drag.
+
+    With `vehicles` the true vehicle is one of an ensemble, and the factors apply to it. A row has the parameters of
+    `physics.units.DIMENSIONS` in their order, `Vehicle.all_coefficients`: 13 numbers, or all 25 if the nominal vehicle
+    has cross terms.
     """
 
     mass: Interval = 1.0  # on m11 and m22 together
@@ -153,6 +158,7 @@ class RandomMismatch:
     d33: Interval = 1.0
     quadratic: Interval = 0.0  # adds this multiple of `quadratic_drag`
     quadratic_drag: tuple[float, float, float] = (100.0, 200.0, 100.0)  # [kg/m], [kg/m], [kg m^2]
+    vehicles: tuple[tuple[float, ...], ...] = ()  # the ensemble; none: the nominal vehicle
 
     def __post_init__(self) -> None:
         for name in ("mass", "ratio", "m33", "d11", "d22", "d33"):
@@ -165,6 +171,14 @@ class RandomMismatch:
 
     def check(self, vehicle: Vehicle) -> None:
         """Raise ValueError if a draw for this vehicle can be invalid, for instance with m22 too close to m11."""
+        size = len(vehicle.all_coefficients)
+        if wrong := [len(row) for row in self.vehicles if len(row) != size]:
+            raise ValueError(f"mismatch vehicles has a row of {wrong[0]} numbers; for this vehicle it must have {size}")
+        for own in map(_vehicle_of, self.vehicles or (vehicle.all_coefficients,)):
+            self._check_one(own)
+
+    def _check_one(self, vehicle: Vehicle) -> None:
+        """Raise ValueError as `check`, for one vehicle of the ensemble."""
         lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
         least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
         if lowest < least:
@@ -181,6 +195,11 @@ class RandomMismatch:
 
     def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossTerms | None]:
         """Return the parameters of one true vehicle; None without cross terms."""
+        crossed = any(vehicle.cross_terms)
+        if self.vehicles:
+            index = np.minimum(np.asarray(uniform()) * len(self.vehicles), len(self.vehicles) - 1).astype(np.int64)
+            row = [x.item() if x.ndim == 0 else x for x in np.array(self.vehicles).T[:, index]]
+            vehicle = Vehicle.unchecked(*_parts(row))
         mass, ratio, m33, d11, d22, d33, q = (
             draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
         )
@@ -200,13 +219,18 @@ class RandomMismatch:
             vehicle.N_uv,
             vehicle.N_ur * d33,
         )
-        return coefficients, _crossed(vehicle, d11, d22, d33) if any(vehicle.cross_terms) else None
+        return coefficients, _crossed(vehicle, d11, d22, d33) if crossed else None
 
     def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
 
         Much quadratic drag gives a fast decay; little drag allows high speeds.
         """
+        own = map(_vehicle_of, self.vehicles or (vehicle.all_coefficients,))
+        return tuple(map(np.concatenate, zip(*map(self._extremes_of, own), strict=True)))
+
+    def _extremes_of(self, vehicle: Vehicle) -> tuple[Any, ...]:
+        """Return `extremes` for one vehicle of the ensemble."""
         (mass, _), (m33, _) = (_ends(x) for x in (self.mass, self.m33))
         corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33, self.quadratic)))
         ratio, d11, d22, d33, q = np.array([*corners]).T
@@ -228,6 +252,18 @@ class RandomMismatch:
             vehicle.N_ur * d33,
         )
         return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_terms) else coefficients
+
+
+def _parts(row: Sequence[Any]) -> tuple[Coefficients, CrossTerms | None]:
+    """Return the parameters of `Vehicle.all_coefficients`; None without cross terms."""
+    size = len(Coefficients._fields)
+    return Coefficients(*row[:size]), CrossTerms(*row[size:]) if len(row) > size else None
+
+
+def _vehicle_of(row: Sequence[float]) -> Vehicle:
+    """Return the vehicle of a row; raise ValueError if it cannot exist."""
+    coefficients, cross_terms = _parts(row)
+    return Vehicle(*coefficients, **(cross_terms._asdict() if cross_terms else {}))
 
 
 def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossTerms:

@@ -14,8 +14,8 @@ from typing import Any
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch, RandomWaves
 from auv_gym.physics.intervals import Interval, check_number
+from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
-from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
@@ -124,6 +124,8 @@ class _Fit:
         """Return a mismatch with the same ratio of quadratic drag to drag."""
         if mismatch is None:
             return None
+        if mismatch.vehicles:
+            raise ValueError("a scenario with an ensemble of vehicles is for its own vehicle; take one without")
         shares = zip(mismatch.quadratic_drag, self.drag(top), ((1, -1), (1, -1), (0, -1)), strict=True)
         X_uu, Y_vv, N_rr = (quadratic * drag / self.units.factor(*rate) for quadratic, drag, rate in shares)
         return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
@@ -183,7 +185,9 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
     if mismatch is not None:
         dimensions = zip(mismatch.quadratic_drag, ("kg/m", "kg/m", "kg m^2"), strict=True)
         X_uu, Y_vv, N_rr = (drag / units.factor(*UNITS[unit]) for drag, unit in dimensions)
-        mismatch = replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
+        dims = [units.factor(*UNITS[unit]) for unit in DIMENSIONS.values()]
+        rows = tuple(tuple(x / d for x, d in zip(row, dims, strict=False)) for row in mismatch.vehicles)
+        mismatch = replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr), vehicles=rows)
     return replace(
         scenario,
         path=replace(scaled_part("path", path, back), turn_rate=path.turn_rate * units.time),

@@ -32,6 +32,8 @@ EXAMPLE_LAG = 0.4  # [s]
 EXAMPLE = Actuators(lag=EXAMPLE_LAG)
 """Actuators of the vehicle in an example."""
 
+_LARGEST_ENSEMBLE = 1000  # vehicles in a scenario
+
 
 @dataclass(frozen=True)
 class Options:
@@ -70,6 +72,9 @@ class Options:
     logs of a rudder 60 s."""
     like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
     """A vehicle by name or file, to take what the log does not show from."""
+    ensemble: int = 0
+    """Number of vehicles that the log allows, drawn from the fit: the true vehicle of each episode of scenario.toml is
+    one of them. Default: the fitted vehicle alone."""
     out: Path = Path("runs/identify")
     """Folder for the results."""
 
@@ -84,6 +89,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.example:
         return _written_example(options)
+    if not 0 <= options.ensemble <= _LARGEST_ENSEMBLE:
+        raise UsageError(f"--ensemble {options.ensemble} must be 0 to {_LARGEST_ENSEMBLE}")
     try:
         like = None if options.like is None else as_vehicle(options.like)
         form = None if options.format is None else Format.named(options.format)
@@ -109,7 +116,8 @@ def main(arguments: Sequence[str]) -> int:
     try:
         if vehicle is not None:
             files["vehicle.toml"] = vehicle_text(found, vehicle, name, actuators)
-            files["scenario.toml"] = scenario_text(found, vehicle, actuators)
+            several = found.ensemble(options.ensemble, like) if options.ensemble else []
+            files["scenario.toml"] = scenario_text(found, vehicle, actuators, several)
     except ValueError as error:
         says = f"no {'scenario' if 'vehicle.toml' in files else 'vehicle'}.toml: {error}"
     if result is not None:

@@ -6,6 +6,7 @@ import inspect
 import json
 import math
 import re
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import tomli_w
 
 from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.steering import Stern, stern_load, thrust
@@ -134,8 +136,12 @@ def _limits(found: Identified, like: Actuators | None = None) -> tuple[float, fl
     return F_u or like.F_u_max, F_r or like.F_r_max  # type: ignore[union-attr]
 
 
-def scenario(found: Identified, vehicle: Vehicle, like: Actuators | None = None) -> Scenario:
+def scenario(
+    found: Identified, vehicle: Vehicle, like: Actuators | None = None, ensemble: Sequence[Vehicle] = ()
+) -> Scenario:
     """Return a scenario with the vehicle, its actuators and its sensors, at speeds and turns like those of the log.
+
+    With an ensemble the true vehicle of each episode is one of it.
 
     Raises:
         ValueError: a limit or a speed is outside of what scenarios have, or a limit is not known.
@@ -153,10 +159,15 @@ def scenario(found: Identified, vehicle: Vehicle, like: Actuators | None = None)
         "sensors": Sensors(max(x, y), psi, max(u, v), r),
         "steps": 600,
     }
-    rate = float(fastest_rate(vehicle.all_coefficients, (F_u_max, 0.0, F_r_max)))
+    rows = tuple(own.all_coefficients for own in (ensemble or (vehicle,)))
+    rate = max(float(fastest_rate(row, (F_u_max, 0.0, F_r_max))) for row in rows)
+    if ensemble:
+        parts["mismatch"] = RandomMismatch(vehicles=rows)
     return Scenario(**parts, substeps=max(1, math.ceil(Scenario.control_dt * rate / MAX_STIFFNESS)))
 
 
-def scenario_text(found: Identified, vehicle: Vehicle, like: Actuators | None = None) -> str:
+def scenario_text(
+    found: Identified, vehicle: Vehicle, like: Actuators | None = None, ensemble: Sequence[Vehicle] = ()
+) -> str:
     """Return scenario.toml; raises as `scenario`."""
-    return tomli_w.dumps(scenario(found, vehicle, like).to_dict())
+    return tomli_w.dumps(scenario(found, vehicle, like, ensemble).to_dict())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,14 +107,43 @@ class Identified:
         """
         if self.unknown and like is None:
             raise ValueError(f"the log does not show {', '.join(self.unknown)}; {advice(self.unknown)}")
-        values = {name: self[name].value for name in COEFFICIENTS}
+        return self._made(like, {})
+
+    def _made(self, like: Vehicle | None, other: Mapping[str, float]) -> Vehicle:
+        """Return `vehicle`, some of its parameters with other values; raises ValueError if there is no such vehicle."""
+        values = {name: other.get(name, self[name].value) for name in COEFFICIENTS}
         for name, value in values.items():
             if math.isnan(value):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
             else:
                 values[name] = float(f"{value:.9g}")  # so that a refusal is no row of digits
-        eps = values["m33"] / (values["m22"] * self["arm"].value) if "arm" in self.model.names else 0.0
-        return Vehicle(**values, speed=self.speed, eps=eps)
+        arm = other.get("arm", self["arm"].value) if "arm" in self.model.names else math.inf
+        return Vehicle(**values, speed=self.speed, eps=values["m33"] / (values["m22"] * arm))
+
+    def ensemble(self, size: int, like: Vehicle | None = None, seed: int = 0) -> list[Vehicle]:
+        """Return vehicles that the log allows: draws from the normal distribution of the fit.
+
+        Draws that no vehicle can be like are repeated.
+
+        Args:
+            size: number of vehicles.
+            like: see `vehicle`.
+            seed: of the draws.
+
+        Raises:
+            ValueError: more than nine in ten draws are repeated.
+        """
+        rng, at = np.random.default_rng(seed), [self.model.names.index(name) for name in self.free]
+        found: list[Vehicle] = []
+        for _ in range(10 * size):
+            drawn = rng.multivariate_normal(self.values[at], self.covariance, method="eigh")
+            with suppress(ValueError):
+                found.append(self._made(like, dict(zip(self.free, drawn.tolist(), strict=True))))
+            if len(found) == size:
+                return found
+        raise ValueError(
+            f"{len(found)} of {10 * size} draws from the fit are possible vehicles: the log shows too little"
+        )
 
     @property
     def misfit(self) -> bool:

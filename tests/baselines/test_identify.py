@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,9 +13,10 @@ from scipy.integrate import solve_ivp
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import in_vehicle_units
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
-from baselines.identification import Log, command, fit, identify
+from baselines.identification import Log, command, files, fit, identify
 from baselines.identification.command import PROGRAM, main
 from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
@@ -276,6 +278,42 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert run(main, PROGRAM, ["none.csv"]) == 1
     assert run(main, PROGRAM, ["log.csv", "--like", "canoe"]) == 2
     assert "unknown vehicle 'canoe'" in capsys.readouterr().err
+
+
+def test_the_ensemble_has_the_distribution_of_the_fit(found):
+    several = found.ensemble(400, seed=1)
+    shown = [name for name in found.free if name in COEFFICIENTS]
+    at = [found.free.index(name) for name in shown]
+    spread = np.sqrt(np.diag(found.covariance))[at]
+    drawn = np.array([[getattr(v, name) for name in shown] for v in several])
+    means = np.array([found[name].value for name in shown])
+    assert (np.abs(drawn.mean(axis=0) - means) < 4 * spread / 20).all()
+    np.testing.assert_allclose(drawn.std(axis=0), spread, rtol=0.2)
+
+
+def test_episodes_of_an_ensemble_have_its_vehicles(found):
+    """In one and in many environments, and in the units of the vehicle."""
+    several = found.ensemble(3)
+    scenario = files.scenario(found, found.vehicle(), ensemble=several)
+    assert Scenario.from_dict(scenario.to_dict()) == scenario
+    many = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 8, "vector_entry_point", scenario=scenario)
+    seen, _ = many.reset(seed=0)
+    true = set()
+    for i in range(8):
+        one = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario)
+        np.testing.assert_array_equal(one.reset(seed=i)[0], seen[i])
+        action = np.array([0.3, 0.1], dtype=np.float32)
+        np.testing.assert_array_equal(one.step(action)[0], many.step(np.tile(action, (8, 1)))[0][i])
+        many.reset(seed=0)
+        true.add(tuple(one.unwrapped._parameters.coefficients))
+    assert true == {v.all_coefficients for v in several}
+    similar = in_vehicle_units(scenario)
+    for row, own in zip(similar.mismatch.vehicles, several, strict=True):
+        ratio, known = own.m22 / own.m11, row[1] / row[0]
+        assert known == pytest.approx(ratio)
+        assert row[3] / row[0] * PAPER_VEHICLE.time == pytest.approx(own.d11 / own.m11 * found.vehicle().time)
+    with pytest.raises(ValueError, match=r"mismatch vehicles has a row of 2 numbers; for this vehicle it must have 13"):
+        replace(scenario, mismatch=replace(scenario.mismatch, vehicles=((1.0, 2.0),)))
 
 
 def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp_path, monkeypatch, capsys):
