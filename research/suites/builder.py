@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -217,8 +218,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "deep-v1": (1_000_005, _deep),
     "vehicles-v1": (1_000_006, lambda: _vehicles(FIRST_VEHICLE_EPISODES, FilePath(__file__).parent / "vehicles_v1")),
     "vehicles-v2": (1_000_007, lambda: _vehicles(VEHICLE_EPISODES)),
-    "sealed-v1": (None, lambda: _sealed(**sealed.FIRST)),
-    "sealed-v2": (None, _sealed),
+    **{name: (None, partial(_sealed, **changes)) for name, changes in sealed.WORLDS.items()},
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
 selects agents on the validation split, never on a test."""

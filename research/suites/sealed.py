@@ -1,18 +1,19 @@
 """Sealed suites, whose episodes are secret until all policies are frozen.
 
-The scenarios of a sealed suite are public. Its episodes are drawn from a secret, and only the SHA-256 of the secret is
-in `SEALS`, committed before any measurement. So no policy can be trained, tuned or chosen on the episodes. After all
-policies are frozen, `python -m research suites open NAME --secret WORDS` checks the secret against the hash, publishes
-it and builds the suite, and `record NAME` runs the policies. From then on the suite is public, and the next one is
-sealed.
+The scenarios of a sealed suite are public. Its episodes are drawn from a secret. `SEALS` has the SHA-256 of the secret
+and of the scenarios, and was committed before any measurement. So no policy can be trained, tuned or chosen on the
+episodes. After all policies are frozen, `python -m research suites open NAME --secret WORDS` checks both hashes,
+publishes the secret and builds the suite, and `record NAME` runs the policies. From then on the suite is public, and
+the next one is sealed.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ _SLEW = 2.0  # [s] time from zero to the limit of slewing actuators
 FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 1.0}
 """Arguments of `sealed_worlds` for `sealed-v1`. Since then `helm` and its variants are trained up to 1.6 m/s and with a
 slew time of a second."""
+WORLDS: Mapping[str, Mapping[str, Any]] = {"sealed-v1": FIRST, "sealed-v2": {}}
+"""Arguments of `sealed_worlds` for each sealed suite."""
 _OUTAGES = 3.0  # [1/min] rate of outages of the position fix
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] duration of an outage
 _FAR = 5.0  # [m] largest distance of a far start on each axis
@@ -41,9 +44,10 @@ DRAG = (0.6, 1.4)  # drag of a vehicle as shares of the known one
 
 @dataclass(frozen=True)
 class Seal:
-    """The hash of a secret and, after the opening, the secret."""
+    """The hashes of a secret and of the scenarios and, after the opening, the secret."""
 
     sha256: str
+    worlds: str  # `worlds_hash` of the suite
     secret: str | None = None  # None: the suite is sealed
 
     def opened(self, secret: str) -> Seal:
@@ -54,7 +58,7 @@ class Seal:
         """
         if sha256(secret) != self.sha256:
             raise SuiteError(f"this is not the secret: its SHA-256 is {sha256(secret)}, that of the seal {self.sha256}")
-        return Seal(self.sha256, secret)
+        return replace(self, secret=secret)
 
 
 def sha256(secret: str) -> str:
@@ -86,10 +90,10 @@ def write_seal(name: str, seal: Seal) -> None:
         SuiteError: the suite has another seal.
     """
     known = seals()
-    if name in known and known[name].sha256 != seal.sha256:
+    if name in known and known[name] != replace(seal, secret=known[name].secret):
         raise SuiteError(f"{name} is sealed already, with SHA-256 {known[name].sha256}")
     known[name] = seal
-    record = {key: {"sha256": s.sha256, "secret": s.secret} for key, s in sorted(known.items())}
+    record = {key: asdict(s) for key, s in sorted(known.items())}
     write_atomically(SEALS, json_text(record))
 
 
@@ -97,14 +101,21 @@ def seed(name: str) -> int:
     """Return the seed of an opened suite.
 
     Raises:
-        SuiteError: the suite has no seal, or it is sealed.
+        SuiteError: the suite has no seal, it is sealed, or its scenarios have changed since then.
     """
     seal = seals().get(name)
     if seal is None:
         raise SuiteError(f"{name} has no seal; make one with: python -m research suites seal {name}")
     if seal.secret is None:
         raise SuiteError(f"{name} is sealed: its episodes are published after all policies are frozen")
+    if seal.worlds != worlds_hash(name):
+        raise SuiteError(f"the scenarios of {name} have changed since it was sealed")
     return seed_of(seal.secret)
+
+
+def worlds_hash(name: str) -> str:
+    """Return the SHA-256 of the scenarios of a sealed suite."""
+    return sha256(json.dumps([[s.to_dict(), mission] for s, mission in sealed_worlds(**WORLDS[name])], sort_keys=True))
 
 
 def sealed_worlds(

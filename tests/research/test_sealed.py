@@ -27,7 +27,7 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     monkeypatch.setattr(builder, "SEALED_EPISODES", 1)
     assert main(["seal", "sealed-v1"]) == DONE
     secret = capsys.readouterr().out.split()[-1]
-    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret))
+    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret), sealed.worlds_hash("sealed-v1"))
     assert secret not in (empty / "seals.json").read_text()
     with pytest.raises(SuiteError, match="is sealed"):
         builder.build("sealed-v1")
@@ -36,14 +36,18 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     assert main(["open", "sealed-v1", "--secret", secret]) == DONE
     suite = suites.load_suite("sealed-v1", empty)
     assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.sealed_worlds(**sealed.FIRST)]
+    monkeypatch.setitem(sealed.WORLDS, "sealed-v1", {**sealed.FIRST, "slew": 3.0})
+    with pytest.raises(SuiteError, match="the scenarios of sealed-v1 have changed"):
+        builder.build("sealed-v1")
+    monkeypatch.setitem(sealed.WORLDS, "sealed-v1", sealed.FIRST)
     again = builder.build("sealed-v1")
     assert all(a.episodes == b.episodes for a, b in zip(suite.cells, again, strict=True))
 
 
 def test_a_seal_is_not_replaced(empty):
-    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one")))
+    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one"), ""))
     with pytest.raises(SuiteError, match="sealed already"):
-        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two")))
+        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two"), ""))
 
 
 @pytest.mark.parametrize(
