@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
+from scipy import stats
 
 from auv_gym.physics.namespaces import Array, Indices
 from baselines.identification.begin import is_current
@@ -131,7 +132,9 @@ def error_bands(found: Identified, windows: Windows) -> Array | None:
 
     Parts of the logs are left out in turn, a vehicle is fitted to the others, and predicts what was left out. The width
     is the quantile of the errors that an exchangeable further one is below with that probability, each prediction
-    counted once (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005, chapter 2).
+    counted once (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005, chapter 2). Errors of
+    one run are alike, so the width is multiplied by the ratio of the quantiles of Student's t for the number of runs, or
+    of parts of one run, and of the normal distribution.
     """
     log = found.model.log
     times, errors, counts = [], [], 0
@@ -156,7 +159,10 @@ def error_bands(found: Identified, windows: Windows) -> Array | None:
     bins = _bin(age, windows)
     if len(np.unique(bins)) < _BINS:
         return None
-    return np.array([np.quantile(every[bins == k], level, axis=0) for k in range(_BINS)])
+    alike = len(log.starts) if len(log.starts) > 1 else len(_parts(found))
+    tail = 0.5 + 0.5 * COVERED
+    wider = stats.t.ppf(tail, alike - 1) / stats.norm.ppf(tail)
+    return np.array([wider * np.quantile(every[bins == k], level, axis=0) for k in range(_BINS)])
 
 
 def _parts(found: Identified) -> list[Indices]:
@@ -277,7 +283,8 @@ def section(result: HeldOut, name: str) -> str:
         shares = ", ".join(f"{n} {100 * c:.0f} %" for n, c in zip(names, result.inside.mean(axis=0), strict=True))
         parts.append(
             "Bands are as wide as 95 % of the errors of predictions of parts of the other logs, each by a vehicle that "
-            f"was fitted without that part. Inside of them: {shares} of these predictions."
+            "was fitted without that part, times a factor of Student's t for the number of runs. "
+            f"Inside of them: {shares} of these predictions."
         )
     if result.manoeuvres:
         rows = ["| run | figure | measured | predicted |", "|--:|---|--:|--:|"]
