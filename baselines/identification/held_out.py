@@ -132,9 +132,9 @@ def error_bands(found: Identified, windows: Windows) -> Array | None:
 
     Parts of the logs are left out in turn, a vehicle is fitted to the others, and predicts what was left out. The width
     is the quantile of the errors that an exchangeable further one is below with that probability, each prediction
-    counted once (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005, chapter 2). Errors of
-    one run are alike, so the width is multiplied by the ratio of the quantiles of Student's t for the number of runs, or
-    of parts of one run, and of the normal distribution.
+    counted once (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005, chapter 2). Errors
+    of one run are alike, so the width is multiplied by the ratio of the quantiles of Student's t for the number of
+    runs, or of parts of one run, and of the normal distribution.
     """
     log = found.model.log
     times, errors, counts = [], [], 0
