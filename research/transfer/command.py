@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from auv_gym.scenarios.names import CASES as KNOWN
-from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
@@ -113,7 +113,8 @@ def _check(options: Options) -> None:
 def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
     """Return the results by policy and case; missing ones are computed and kept."""
     files = {policy: _WORK / vehicle / f"{policy}.json" for policy in options.policy}
-    stamps = {policy: f"{fingerprint(policy)} {options.episodes}" for policy in options.policy}
+    simulator = simulator_fingerprint()
+    stamps = {policy: f"{fingerprint(policy)} {simulator} {options.episodes}" for policy in options.policy}
     known: dict[str, dict[str, Any]] = {}
     for policy, file in files.items():
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
