@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test test-all soak oldest lint typecheck format bench train train-all pages verify examples docs package clean
+.PHONY: help demo video test test-all soak oldest matrix lint typecheck format bench train train-all pages verify examples docs package clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -64,6 +64,19 @@ oldest: ## the tests of auv_gym with the oldest versions of its dependencies tha
 	build/oldest/bin/python -m pip install --quiet uv
 	build/oldest/bin/uv pip install --quiet --python build/oldest --resolution lowest-direct --editable '.[eval]' --group platforms
 	build/oldest/bin/python -m pytest -q tests/auv_gym $(ARGS)
+
+VERSIONS = 3.10 3.11 3.12 3.13 3.14
+matrix: export OMP_NUM_THREADS = 1
+matrix: ## the same with the newest ones, for each Python, found or downloaded by uv: VERSIONS="3.10 3.14"
+	$(PYTHON) -m venv --clear build/uv
+	build/uv/bin/python -m pip install --quiet uv
+	@for version in $(VERSIONS); do \
+	  echo "Python $$version"; \
+	  build/uv/bin/uv venv --quiet --clear --python $$version build/matrix && \
+	  build/uv/bin/uv pip install --quiet --python build/matrix --editable '.[eval]' --group platforms && \
+	  build/matrix/bin/python -m pytest -q tests/auv_gym $(ARGS) || failed="$$failed $$version"; \
+	done; \
+	test -z "$$failed" || { echo "error: the tests do not pass with Python$$failed" >&2; exit 1; }
 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check

@@ -14,7 +14,6 @@ import shutil
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -30,8 +29,9 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.episodes import EpisodeRecord, run_episodes
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, typed
+from baselines.tools.command_line import DONE, FAILED, UsageError, WorkerError, called, parse, typed
 from baselines.tools.files import synchronise
+from baselines.tools.workers import Elsewhere
 
 PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
@@ -153,7 +153,7 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
     """
     folder.mkdir(parents=True, exist_ok=True)
     needed, free = sum(map(_size, parts)), shutil.disk_usage(folder).free
-    if needed > free:  # HDF5 prints tracebacks for every array that it cannot write
+    if needed > free:
         raise OSError(
             errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {needed} bytes are needed, {free} are free", str(folder)
         )
@@ -162,22 +162,13 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
             shutil.rmtree(left)
     before, made = os.environ.get(LIBRARY_FOLDER), Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder.resolve()))
     os.environ[LIBRARY_FOLDER] = str(made)  # Minari needs an absolute path
+    writer = Elsewhere(_Writer)
     try:
-        import minari
-        from minari.data_collector import EpisodeBuffer
-
-        records = [record for part in parts for record in part.records]
-        buffers = [EpisodeBuffer(i, record.seed, None, **_buffer_fields(record)) for i, record in enumerate(records)]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Minari warns that there is no e-mail address
-            minari.create_dataset_from_buffers(
-                name,
-                buffers,
-                env=_environment(scenario),
-                algorithm_name=", ".join(dict.fromkeys(part.policy for part in parts)),
-                author="auv_gym contributors",
-                description=card,
-            )
+        try:
+            writer.call("write", parts, scenario, name, card)()
+        except (WorkerError, RuntimeError) as error:
+            number = errno.ENOSPC if shutil.disk_usage(folder).free < needed else errno.EIO
+            raise OSError(number, os.strerror(number), str(folder)) from error
         (made / name / "README.md").write_text(card, encoding="utf-8")
         for file in made.rglob("*"):
             if file.is_file():
@@ -189,10 +180,36 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
         (made / name).rename(folder / name)
         synchronise((folder / name).parent)
     finally:
+        writer.close()
         shutil.rmtree(made)
         os.environ.pop(LIBRARY_FOLDER)
         if before is not None:
             os.environ[LIBRARY_FOLDER] = before
+
+
+class _Writer:
+    """Writes with Minari, in a process of its own: where a write fails, HDF5 prints tracebacks and can crash."""
+
+    def __init__(self) -> None:
+        """Discard the standard error of this process."""
+        with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+            os.dup2(nothing.fileno(), 2)
+
+    def write(self, parts: Sequence[DatasetPart], scenario: Scenario, name: str, card: str) -> None:
+        """Write episodes as a dataset in the folder of Minari's environment variable; arguments as in `_write`."""
+        import minari
+        from minari.data_collector import EpisodeBuffer
+
+        records = [record for part in parts for record in part.records]
+        buffers = [EpisodeBuffer(i, record.seed, None, **_buffer_fields(record)) for i, record in enumerate(records)]
+        minari.create_dataset_from_buffers(
+            name,
+            buffers,
+            env=_environment(scenario),
+            algorithm_name=", ".join(dict.fromkeys(part.policy for part in parts)),
+            author="auv_gym contributors",
+            description=card,
+        )
 
 
 def _environment(scenario: Scenario) -> Any:

@@ -15,7 +15,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SCALES, SIZE, Observation, action_of, decode_observation, decoded_terms
-from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, usable
+from auv_gym.task.policy import last_commands, measured, preview_of, usable
 from auv_gym.task.preview import columns_behind
 
 Memory: TypeAlias = tuple[NDArray[Any], ...]
@@ -162,8 +162,8 @@ class Batched(ABC):
         starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows)
         action, done, memory = last_commands(rows), np.zeros(n, dtype=bool), state
         if good.any():
-            # Actions of unusable rows are not used; the rows stay, since the size of the batch may change last digits.
-            whole = np.where(np.abs(rows) <= LARGEST, rows, rows[good.argmax()])
+            # A usable row replaces the others, since the size of the batch may change last digits.
+            whole = np.where(good[:, None], rows, rows[good.argmax()])
             found, after = self.actions(whole, state, starts, deterministic)
             done = good
             if self.remembers:
@@ -176,9 +176,10 @@ class Batched(ABC):
             if state is None or after is None:
                 memory = after
             else:
-                memory = tuple(np.where(along(done, a), a, b) for a, b in zip(after, state, strict=True))
+                seen = done | starts & good
+                memory = tuple(np.where(along(seen, a), a, b) for a, b in zip(after, state, strict=True))
         self.repeated += n - int(np.count_nonzero(done))
-        not_started = starts & ~done
+        not_started = starts & ~good
         if not_started.all():
             return action, None
         return action, memory and ((*memory, not_started.view(_NotStarted)) if not_started.any() else memory)

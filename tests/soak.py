@@ -27,6 +27,11 @@ ROUND = 400  # control steps of a round
 EPISODES = (100, 400)  # control steps
 POLICIES = ("uniform", "backstepping", "los-pid", "ekf", "apg-cruise", "helm")
 """The policies of the rounds, in turn; "uniform" has random actions."""
+REFUSAL = re.compile(
+    "infeasible at t = |the path runs from |the plan needs |an integration step, control_dt / substeps, is |"
+    "scenario 'random' has speeds from "
+)
+"""Beginnings of the messages that a random scenario may be refused with; any other ValueError is a failure."""
 GROWTH = 50  # [MiB] largest growth of memory after the first tenth, without compiled code
 OF_LIBRARY = 3  # [MiB] most memory of a compiled library; each new structure of a scenario has some of its own
 
@@ -51,7 +56,7 @@ class Uniform:
 
 
 def begun(rng, preview):
-    """Return a vector environment of random scenarios and what it observes; None if a path cannot be followed."""
+    """Return a vector environment of random scenarios and what it observes; None if they are refused, see `REFUSAL`."""
     choose = Generated(rng)
     substeps = (choose.of(SUBSTEPS),)
     mode = choose.of((AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP))
@@ -61,7 +66,9 @@ def begun(rng, preview):
         chosen = [some[i % len(some)] for i in range(VEHICLES)]
         env = UnderactuatedAUVTrackVectorEnv(VEHICLES, chosen, autoreset_mode=mode, preview=preview)
         return env, env.reset(seed=int(rng.integers(2**31)))[0]
-    except ValueError:
+    except ValueError as error:
+        if not REFUSAL.match(str(error)):
+            raise
         return None
 
 
@@ -77,6 +84,7 @@ def soak(steps, seed, report=lambda _: None):
 
     Raises:
         AssertionError: a number is not finite, or an observation is outside of its space.
+        ValueError: a scenario is refused with another message than those of `REFUSAL`.
     """
     rng, begin = np.random.default_rng(seed), time.monotonic()
     done = {"steps": 0, "episodes": 0, "environments": 0, "refused": 0, "early": 0.0, "libraries": 0}
@@ -93,7 +101,9 @@ def soak(steps, seed, report=lambda _: None):
             checked(action=action)
             try:
                 observation, reward, terminated, truncated, info = env.step(action)
-            except ValueError:  # the next episode has a path that cannot be followed
+            except ValueError as error:  # the next episode has a path that cannot be followed
+                if not REFUSAL.match(str(error)):
+                    raise
                 done["refused"] += 1
                 break
             first = terminated | truncated

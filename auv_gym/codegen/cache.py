@@ -23,6 +23,8 @@ BUILD = "build-"
 DAY = 86400.0  # [s]
 UNUSED = 90 * DAY
 """Time since its last use [s] after which a library is removed."""
+MOST = 1000
+"""Largest number of libraries; more are removed by a build, those first that were not used for the longest time."""
 LEFTOVER = 3600.0
 """Age [s] after which a folder with the prefix `BUILD` is removed; its process was killed."""
 _LIBRARY = re.compile(r"[0-9a-f]{32}\.so")  # file names of libraries
@@ -50,7 +52,7 @@ def cache_folders() -> Iterator[Path]:
 @cache
 def _temporary() -> Path:
     """Return a new folder that other users cannot write to; it is removed at the end of the process."""
-    folder = tempfile.TemporaryDirectory(prefix="auv_gym-")
+    folder = tempfile.TemporaryDirectory(prefix="auv_gym-", ignore_cleanup_errors=True)  # Windows keeps loaded files
     _open_folders.append(folder)
     return Path(folder.name)
 
@@ -104,11 +106,15 @@ def mark_used(file: Path) -> None:
 
 
 def remove_unused(folder: Path) -> None:
-    """Remove libraries that have not been used for `UNUSED`, and the folders of builds that were killed."""
+    """Remove libraries beyond `MOST` or not used for `UNUSED`, and the folders of builds that were killed."""
+    ages: dict[Path, float] = {}
     for entry in folder.iterdir():
         with suppress(OSError):  # another process has removed it
-            age = time.time() - entry.lstat().st_mtime
-            if _LIBRARY.fullmatch(entry.name) and age > UNUSED:
-                entry.unlink()
-            elif entry.name.startswith(BUILD) and age > LEFTOVER:
+            ages[entry] = time.time() - entry.lstat().st_mtime
+            if entry.name.startswith(BUILD) and ages[entry] > LEFTOVER:
                 shutil.rmtree(entry)
+    libraries = sorted((entry for entry in ages if _LIBRARY.fullmatch(entry.name)), key=ages.__getitem__)
+    for i, library in enumerate(libraries):
+        if i >= MOST or ages[library] > UNUSED:
+            with suppress(OSError):
+                library.unlink()

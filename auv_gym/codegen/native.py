@@ -69,12 +69,12 @@ def wanted() -> bool:
 def compiler() -> tuple[str, str] | None:
     """Return command and version of the first C compiler that works; log a warning and return None if none does.
 
-    The environment variable CC may hold a command of several words, such as "ccache gcc".
+    The environment variable CC may hold a path, or a command of several words, such as "ccache gcc".
     """
     reasons: list[str] = []
     for name in filter(None, (os.environ.get("CC"), *COMPILERS)):
         try:
-            program, *words = shlex.split(name)
+            program, *words = [name] if shutil.which(name) else shlex.split(name)
             if (path := shutil.which(program)) is None:
                 raise ValueError("the program does not exist")
             command = shlex.join([path, *words])
@@ -183,7 +183,8 @@ def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, .
         SubprocessError: the compiler fails.
     """
     remove_unused(own_folder(file.parent))
-    with tempfile.TemporaryDirectory(prefix=BUILD, dir=file.parent) as folder:
+    # Windows removes no library that is loaded.
+    with tempfile.TemporaryDirectory(prefix=BUILD, dir=file.parent, ignore_cleanup_errors=True) as folder:
         made = Path(folder) / file.name
         try:
             _compile(command, source, made, flags)
@@ -191,7 +192,11 @@ def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, .
             _compile(command, source, made, tuple(flag for flag in flags if flag not in TUNED))
         made.chmod(0o755)  # not writable by other users, whatever the umask
         found = _loaded(made, mark)
-        made.replace(file)
+        try:
+            made.replace(file)
+        except PermissionError:
+            if sys.platform != "win32" or not file.exists():  # Windows replaces no library that another process uses
+                raise
     return found
 
 

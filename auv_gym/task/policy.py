@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
@@ -15,18 +16,23 @@ from auv_gym.task.observation import F_R_MAX, F_U_MAX, SIZE, Observation, action
 LARGEST = 1e12
 """Largest magnitude of a valid entry of an observation; those of the largest ships are below 2e11."""
 _A_U = Observation._fields.index("a_u")  # index of the last surge command; that of yaw follows
-_POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]  # indices of the limits and the control period
+POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]
+"""Indices of the limits and the control period, which are positive in a valid observation."""
 Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, Number]]
 """A function that returns F_u [N], F_r [N m] for the terms of an observation in SI units and a namespace."""
 
 
 def measured(observation: NDArray[Any]) -> bool:
-    """Return True only if all entries of observations are finite and at most `LARGEST`, within a microsecond.
+    """Return True only if observations, (n,) or (N, n), are `usable`, within two microseconds.
 
     The test is that of the sum of squares, so it can return False for valid entries.
     """
     entries = observation.ravel("K")
-    return bool(entries.dot(entries) <= LARGEST * LARGEST)
+    if not entries.dot(entries) <= LARGEST * LARGEST:
+        return False
+    if observation.ndim == 1:
+        return bool(min(map(observation.item, POSITIVE)) > 0)
+    return bool(observation.T[POSITIVE].min(initial=math.inf) > 0)
 
 
 def usable(rows: NDArray[Any]) -> NDArray[np.bool_]:
@@ -34,7 +40,7 @@ def usable(rows: NDArray[Any]) -> NDArray[np.bool_]:
 
     All entries must be finite and at most `LARGEST`, and limits and control period positive.
     """
-    return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, _POSITIVE] > 0).all(axis=1))
+    return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, POSITIVE] > 0).all(axis=1))
 
 
 def last_commands(rows: NDArray[Any]) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, sectio
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -157,12 +158,13 @@ class LQI:
         return F_u, F_r, (xi.T, lagged.T)
 
     def _gain(self, o: Observation) -> Array:
-        """Return K for each vehicle, shape (N, 2, 12)."""
+        """Return K for each vehicle, shape (N, 2, 12); NaN if no gain exists for its limits and control period."""
         points = np.stack((o.u_R, o.r_R), axis=1)
         points = np.clip(points, (_SPEEDS[0], _TURN_RATES[0]), (_SPEEDS[-1], _TURN_RATES[-1]))
-        K = np.empty((len(points), _FORCES, _STATES + 2 * _FORCES))
+        K = np.full((len(points), _FORCES, _STATES + 2 * _FORCES), np.nan)
         designs = np.stack((o.dt, preferred(o.F_u_max), preferred(o.F_r_max)), axis=1)
         for dt, *limits in np.unique(designs, axis=0).tolist():
             rows = (designs == (dt, *limits)).all(axis=1)
-            K[rows] = gain_schedule(self.vehicle, self.weights, dt, (limits[0], limits[1]))(points[rows])
+            with suppress(ValueError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+                K[rows] = gain_schedule(self.vehicle, self.weights, dt, (limits[0], limits[1]))(points[rows])
         return K

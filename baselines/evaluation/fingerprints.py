@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import auv_gym
 from baselines.agents.agent import AGENT_FILE, WEIGHTS
 from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name
 from baselines.agents.onnx_models import SUFFIX
@@ -98,15 +99,20 @@ SIMULATOR_PACKAGES = ("codegen", "envs", "physics", "planning", "scenarios", "ta
 """Packages of auv_gym that determine an episode, together with the actions."""
 NOT_SIMULATOR = ("auv_gym.codegen.native", "auv_gym.codegen.cache")
 """Modules that choose the compiler and the place of compiled code, which do not affect results."""
+MEASURES = ("baselines.evaluation.rollout", "baselines.evaluation.metrics")
+"""Modules that run the episodes and compute the metrics."""
 
 
 def simulator_fingerprint() -> str:
-    """Return the SHA-256 of the simulator's code: the environment and the modules of the package that it imports.
+    """Return the SHA-256 of the code that determines results: the environment, what it imports, C code and `MEASURES`.
 
-    Docstrings, comments, formatting and the names of modules do not count.
+    Docstrings, comments, formatting and the names of modules do not count; in C code everything counts.
     """
-    packages = tuple(f"auv_gym.{package}" for package in SIMULATOR_PACKAGES)
-    return _hash([module.digest for module in _imported(SIMULATOR, packages=packages, without=NOT_SIMULATOR)])
+    packages = (*(f"auv_gym.{package}" for package in SIMULATOR_PACKAGES), *MEASURES)
+    modules = _imported(SIMULATOR, *MEASURES, packages=packages, without=NOT_SIMULATOR)
+    folder = Path(auv_gym.__file__).parent
+    sources = [file for package in SIMULATOR_PACKAGES for file in sorted((folder / package).rglob("*.c"))]
+    return _hash([*(module.digest for module in modules), *map(_bytes, sources)])
 
 
 def _of_agent(folder: Path, gated: bool) -> str:

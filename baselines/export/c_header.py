@@ -10,7 +10,7 @@ import numpy as np
 
 from auv_gym.codegen.plain import c_dialect, parameters, plain_function, tangent_function
 from auv_gym.codegen.vectors import plain_program
-from auv_gym.task.policy import LARGEST
+from auv_gym.task.policy import LARGEST, POSITIVE
 from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import (
     MEASURED_NAMES,
@@ -37,8 +37,9 @@ Call {prefix}_start at the start of an episode. In each control period call {pre
 library only.
 
 Both functions return {CAPITALS}_OK. They return {CAPITALS}_REPEATED if no command can be computed because an
-input or a result is not finite or larger than {largest} in magnitude. In that case the last command is repeated (zero
-at the start of an episode) and the memory does not change, so the bad input has no effect on later commands.
+input or a result is not finite or larger than {largest} in magnitude, or a limit or the control period is not positive.
+In that case the last command is repeated (zero at the start of an episode) and the memory does not change, so the bad
+input has no effect on later commands.
 The code is valid C99 and C++. Do not compile it with -ffast-math or -ffinite-math-only, which remove these checks.
 """
 
@@ -120,7 +121,7 @@ int {prefix}_step({prefix}_memory *memory, const real *observation, real *comman
     static const real authority[2] = {{{authority}}};
     {prefix}_memory next = *memory;
     real features[{features}], base[2];
-    int i, good = {prefix}_usable(observation, {CAPITALS}_OBSERVATION);
+    int i, good = {prefix}_usable(observation, {CAPITALS}_OBSERVATION){positive};
     if (good) {{
         {prefix}_see({seen});
         {prefix}_network({computed});
@@ -257,6 +258,7 @@ def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
         "seen": ", ".join(given.get(name, name) for name in see),
         "computed": ", ".join(network),
         "forget": "\n".join(f"    for (i = 0; i < {n}; i++) memory->{name}[i] = 0;" for name, n in sizes.items()),
+        "positive": "".join(f" && observation[{i}] > 0" for i in POSITIVE),
         "finite": _all_usable("next.", sizes, prefix, 8),
         "given": _all_usable("view->", views, prefix, 4),
     }

@@ -10,7 +10,7 @@ import numpy as np
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.vectors import Program
-from auv_gym.task.policy import LARGEST
+from auv_gym.task.policy import LARGEST, POSITIVE
 from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import Exported
 from baselines.policy import A_U
@@ -117,11 +117,17 @@ class _Writer:
         return f"{array}_within"
 
     def usable(self, arrays: Sequence[str]) -> str:
-        """Add the mask of the rows in which all entries of some arrays are usable, and return its name."""
-        for array in arrays:  # ONNX has no minimum of truth values
-            self.node("Cast", [self.within(array, LARGEST)], [f"{array}_ones"], to=self.real)
-            self.node("ReduceMin", [f"{array}_ones"], [f"{array}_least"], axes=[1], keepdims=1)
-        self.node("Min", [f"{array}_least" for array in arrays], ["least"])
+        """Add the mask of the rows in which all entries of some arrays are usable, and return its name.
+
+        The limits and the control period in the observation must be positive.
+        """
+        self.node("Gather", ["observation", self.constant("positive", POSITIVE, np.int64)], ["settings"], axis=1)
+        self.node("Greater", ["settings", self.number(0.0)], ["settings_positive"])
+        masks = [self.within(array, LARGEST) for array in arrays] + ["settings_positive"]
+        for mask in masks:  # ONNX has no minimum of truth values
+            self.node("Cast", [mask], [f"{mask}_ones"], to=self.real)
+            self.node("ReduceMin", [f"{mask}_ones"], [f"{mask}_least"], axes=[1], keepdims=1)
+        self.node("Min", [f"{mask}_least" for mask in masks], ["least"])
         self.node("Cast", ["least"], ["usable"], to=self.truth)
         return "usable"
 
@@ -160,8 +166,9 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
 
     The inputs are the observation (batch, n) and the memory: arrays (batch, size), zero at the start of an episode. The
     outputs are the action (batch, 2) and, with names next_..., the memory for the next call. If a number in a row of
-    the inputs or results is not finite or larger than `LARGEST` in magnitude, the action is the last one, which is in
-    the observation, or zero where that is not in [-1, 1], and the memory is the input memory.
+    the inputs or results is not finite or larger than `LARGEST` in magnitude, or a limit or the control period is not
+    positive, the action is the last one, which is in the observation, or zero where that is not in [-1, 1], and the
+    memory is the input memory.
 
     Args:
         agent: the agent.

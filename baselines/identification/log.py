@@ -44,6 +44,8 @@ WIND_COLUMNS = {"W_x": "m/s", "W_y": "m/s"}
 _SHORTEST = 50  # fewest rows of a run
 _LARGEST = 100_000  # most rows of a log
 _LARGEST_FILE = 2**24  # [bytes]
+_MOST = 1e12  # largest magnitude of an entry
+_LEAST = 1e-6  # least velocity [m/s], [rad/s] that a log must reach, and least change of its commands
 _GAP = 5  # rows are this many times as far apart as usual where a log has a gap
 
 
@@ -79,11 +81,14 @@ class Log:
         if T > _LARGEST:
             raise ValueError(f"the log has {T} rows; it must have {_SHORTEST} to {_LARGEST}")
         for name, column in zip(self.columns, self.table.T, strict=True):
-            if len(bad := np.flatnonzero(~np.isfinite(column))):
-                raise ValueError(f"{name} in data row {bad[0] + 1} is {column[bad[0]]}; every entry must be a number")
+            if len(bad := np.flatnonzero(~(np.abs(column) <= _MOST))):
+                entry = f"{name} in data row {bad[0] + 1} is {column[bad[0]]}"
+                raise ValueError(f"{entry}; every entry must be a number of at most {_MOST:g}")
         for run in self.runs:
             self._check_times(run)
-        if np.ptp(self.commands) == 0:
+        if (fastest := float(np.abs(self.measured[:, 3:]).max(initial=0.0))) < _LEAST:
+            raise ValueError(f"u, v and r are at most {fastest:.3g} in [m/s] and [rad/s]; the vehicle must move")
+        if np.ptp(self.commands) < _LEAST:
             name, value = next(iter(own)), self.commands[0, 0]
             raise ValueError(f"{name} is {value:g} throughout; a vehicle is known by how it answers to changes")
         if self.kind == "force" and not self.commands[:, 1].any():

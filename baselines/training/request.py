@@ -57,8 +57,9 @@ class Request:
         configs = checked(partial(_configs, options))
         out = options.out or Path("runs/train") / _name(options)
         folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)
-        for config, folder in zip(configs, folders, strict=True):
-            _check_contents(config, folder, options.resume)
+        there = [_holds(config, folder, options.resume) for config, folder in zip(configs, folders, strict=True)]
+        if options.resume and not any(there):
+            print(f"note: --out {out} holds no run yet, so --resume begins one", file=sys.stderr)
         for folder in folders:
             checked_folder(folder)
         return cls(configs, folders, out, workers, command)
@@ -162,13 +163,13 @@ def check(config: Config) -> None:
     importlib.import_module(ALGORITHMS[config.algo]).check(config)
 
 
-def _check_contents(config: Config, folder: Path, resume: bool) -> None:
-    """Raise UsageError if a folder holds something other than a run that can be continued."""
+def _holds(config: Config, folder: Path, resume: bool) -> bool:
+    """Return whether a folder holds the run; raise UsageError if it holds something else, or the run without resume."""
     there = checked(partial(read_config, folder))
     if there is None:
         if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
             raise UsageError(f"--out {folder} is not empty and holds no run of train.py; choose another folder")
-        return
+        return False
     if (mine := config.to_dict()) != (theirs := there.to_dict()):
         name = next(key for key in mine if mine[key] != theirs[key])
         change = f": {theirs[name]} instead of {mine[name]}" if name not in ("scenarios", "hyperparameters") else ""
@@ -180,3 +181,4 @@ def _check_contents(config: Config, folder: Path, resume: bool) -> None:
             "choose another folder, or delete it" if finished else "add --resume to continue, or choose another folder"
         )
         raise UsageError(f"--out {folder} holds this run already, {state}; {advice}")
+    return True

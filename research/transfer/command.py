@@ -17,7 +17,7 @@ from tyro.conf import arg
 
 from auv_gym.scenarios.names import CASES as KNOWN
 from auv_gym.scenarios.vehicles import vehicle_model
-from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
@@ -114,8 +114,9 @@ def _check(options: Options) -> None:
 def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
     """Return the results by policy and case; missing ones are computed and kept."""
     files = {policy: _WORK / vehicle / f"{policy}.json" for policy in options.policy}
-    model = hashlib.sha256(repr(vehicle_model(vehicle)).encode()).hexdigest()[:12]
-    stamps = {policy: f"{fingerprint(policy)} {options.episodes} {model}" for policy in options.policy}
+    known_model = hashlib.sha256(repr(vehicle_model(vehicle)).encode()).hexdigest()
+    shared = f"{simulator_fingerprint()} {known_model} {options.episodes}"
+    stamps = {policy: f"{fingerprint(policy)} {shared}" for policy in options.policy}
     known: dict[str, dict[str, Any]] = {}
     for policy, file in files.items():
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}

@@ -4,6 +4,7 @@ import ctypes
 import errno
 import logging
 import os
+import shlex
 import shutil
 import signal
 import stat
@@ -12,6 +13,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -333,6 +335,55 @@ def test_unused_libraries_are_removed(cache):
     assert trial.exists()
     assert running.exists()
     assert foreign.exists()
+
+
+def test_the_number_of_libraries_is_bounded(cache, monkeypatch):
+    """The build removes those that were not used for the longest time."""
+    monkeypatch.setattr(cache_module, "MOST", 3)
+    names = [cache / f"{i:032x}.so" for i in range(6)]
+    cache.mkdir(0o700)
+    for i, file in enumerate(names):
+        file.touch()
+        os.utime(file, (0, time.time() - 100 - i))
+    cache_module.remove_unused(cache)
+    assert sorted(cache.iterdir()) == names[:3]
+
+
+@needs_compiler
+def test_compiled_code_on_windows(cache, caplog, monkeypatch):
+    """There, files have no owner and no mode, and a library that another process has loaded cannot be replaced."""
+    for module in (native, cache_module):
+        monkeypatch.setattr(module, "sys", SimpleNamespace(platform="win32", stderr=sys.stderr))
+    monkeypatch.setattr(os, "geteuid", lambda: pytest.fail("Windows has no user ids"))
+    real = Path.replace
+
+    def replace(made, file):
+        shutil.copy(made, file)
+        raise PermissionError(errno.EACCES, "Access is denied", str(file))
+
+    for move in (real, replace):
+        monkeypatch.setattr(Path, "replace", move)
+        shutil.rmtree(cache, ignore_errors=True)
+        forget()
+        assert result() == 3
+        assert len(libraries(cache)) == 1
+        assert not list(cache.glob(f"{cache_module.BUILD}*"))
+        forget()
+        with monkeypatch.context() as patch:
+            patch.setattr(native, "_compile", lambda *_: pytest.fail("the library exists"))
+            assert result() == 3
+    assert not warnings_of(caplog)
+
+
+@needs_compiler
+def test_the_path_of_a_compiler_may_hold_spaces_and_backslashes(cache, monkeypatch, tmp_path):
+    """As in C:\\Program Files."""
+    real = native.compiler()[0]
+    forget()
+    path = program(tmp_path, "my \\ gcc", f'exec {real} "$@"')
+    monkeypatch.setenv("CC", path)
+    assert result() == 3
+    assert shlex.split(native.compiler()[0]) == [path]
 
 
 @needs_compiler

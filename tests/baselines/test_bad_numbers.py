@@ -9,7 +9,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.observation import BOUNDS, SCALES, SIZE, TERMS, Observation, bounds, encode_observation
-from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, usable
+from auv_gym.task.policy import LARGEST, POSITIVE, last_commands, measured, preview_of, usable
 from baselines import list_policies, make_policy
 from baselines.agents import filters
 from baselines.policy import Batched, Privileged, Remembering
@@ -17,6 +17,7 @@ from baselines.policy import Batched, Privileged, Remembering
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
 WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
 BAD = (math.nan, math.inf, -math.inf, 1e30, -1e30)
+NOT_POSITIVE = (0.0, -1.0)  # invalid for limits and control period
 LAST = slice(15, 17)  # the last action among the terms
 N = 3
 pytestmark = pytest.mark.filterwarnings("ignore:this policy was trained at", "ignore:these gains are stable")
@@ -56,7 +57,7 @@ def test_one_vehicle_repeats_its_command(name):
     own, good, after = of_vehicle(memory, 1), observation[1], following[1]
     expected, kept = policy.predict(after, own)
     for column in range(len(good)):
-        for value in BAD:
+        for value in (*BAD, *NOT_POSITIVE) if column in POSITIVE else BAD:
             bad = good.copy()
             bad[column] = value
             action, held = policy.predict(bad, own)
@@ -70,14 +71,15 @@ def test_one_vehicle_repeats_its_command(name):
     np.testing.assert_array_equal(again, expected)
     assert_same(remembered, kept)
     if isinstance(policy, Batched):
-        assert policy.repeated == len(good) * len(BAD)
+        assert policy.repeated == len(good) * len(BAD) + len(POSITIVE) * len(NOT_POSITIVE)
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
 def test_the_others_of_a_batch_are_not_affected(name):
     policy, memory, observation, following = started(name)
     expected, after = policy.predict(observation, memory)
-    for value, column in ((math.nan, 0), (math.inf, 4), (1e30, 12), (math.nan, len(observation[0]) - 1)):
+    numbers = ((math.nan, 0), (math.inf, 4), (1e30, 12), (0.0, 13), (-1.0, 14), (0.0, 17), (math.nan, -1))
+    for value, column in numbers:
         bad = observation.copy()
         bad[1, column] = value
         action, held = policy.predict(bad, memory)
@@ -134,6 +136,25 @@ def test_memory_and_actions_stay_finite_after_one_distant_position(name, value):
         assert np.isfinite(action).all()
         assert all(np.isfinite(array).all() for array in memory or ())
         observation = env.step(action)[0]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED, "helm:guard=nmpc-adverse"])
+def test_commands_are_finite_for_every_observation_of_the_space(name):
+    """For random, extreme, tiny and zero entries, of which four of five observations are repeated."""
+    policy, rng, n = make_policy(name), np.random.default_rng(0), 32
+    space = environment(policy).single_observation_space
+    low, high, shape = space.low, space.high, (n, *space.shape)
+    seen, memory = np.zeros(shape), None
+    for _ in range(60):
+        usual = rng.uniform(low, high, shape)
+        extreme = np.where(rng.random(shape) < 0.5, low, high)
+        tiny = usual * 10.0 ** rng.uniform(-300, 0, shape)
+        entries = np.choose(rng.integers(4, size=shape), [usual, extreme, tiny, np.zeros(shape)])
+        drawn = np.choose(rng.integers(4, size=(n, 1)), [usual, extreme, tiny, entries])
+        seen = np.where(rng.random((n, 1)) < 0.2, drawn, seen)
+        action, memory = policy.predict(seen, memory)
+        assert (np.abs(action) <= 1.0).all()
 
 
 def test_the_memory_of_filters_is_bounded():

@@ -1,6 +1,10 @@
 """Records of episodes, and datasets of them: equal to the environment's episodes, and deterministic."""
 
+import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -142,3 +146,25 @@ def test_messages_for_an_existing_dataset_and_a_missing_library(tmp_path, scenar
     monkeypatch.setattr(module, "find_spec", lambda _: None)
     with pytest.raises(UsageError, match=r"pip install .*\[data\]"):
         main(["--out", str(tmp_path / "new")])
+
+
+LIMITED = """
+import resource, sys
+from baselines.datasets import PROGRAM, main
+from baselines.tools.command_line import run
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+    sys.exit(run(main, PROGRAM))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no limits of file sizes")
+def test_a_write_that_fails_is_one_line(tmp_path):
+    """As on a disk that another process fills meanwhile, where HDF5 prints tracebacks and crashes."""
+    (tmp_path / "limited.py").write_text(LIMITED, encoding="utf-8")
+    words = [sys.executable, "limited.py", "--policy", "open-loop", "--scenario", "slow-calm", "--out", "data"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "auv-gym dataset: cannot continue: [Errno 5] Input/output error: 'data'\n"
+    assert list((tmp_path / "data").iterdir()) == []

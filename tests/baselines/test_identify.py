@@ -219,6 +219,9 @@ def columns(log, **changes):
         ({"t": lambda t: t[::-1]}, r"t goes from 60 to 59.9 s in data row 2; time must increase"),
         ({"x": lambda x: np.where(np.arange(len(x)) == 4, np.nan, x)}, "x in data row 5 is nan; every entry must be"),
         ({"F_u": lambda F: 0 * F, "F_r": lambda F: 0 * F}, "is 0 throughout"),
+        ({"F_u": lambda F: 1e-200 * F, "F_r": lambda F: 1e-200 * F}, "throughout"),
+        ({"y": lambda y: 1e200 * y}, "y in data row 1 is .*; every entry must be a number of at most 1e.12"),
+        ({name: lambda w: 1e-20 * w for name in ("x", "y", "u", "v", "r")}, "the vehicle must move"),
         ({"t": lambda t: t + 30 * (t > 30)}, "t has a gap of 30.1 s"),
     ],
 )

@@ -61,7 +61,7 @@ def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation"
 
 def test_actions_and_memory():
     policy = make_policy(model())
-    first, second = np.random.default_rng(1).normal(size=(2, 3, 18))
+    first, second = np.abs(np.random.default_rng(1).normal(size=(2, 3, 18)))
     action, memory = policy.predict(first)
     np.testing.assert_allclose(action, first @ WEIGHTS, rtol=1e-6)
     then, _ = policy.predict(second, memory, np.array([False, True, False]))
@@ -77,7 +77,7 @@ def test_actions_and_memory():
 
 
 def test_single_precision():
-    observations = np.random.default_rng(1).normal(size=(3, 18))
+    observations = np.abs(np.random.default_rng(1).normal(size=(3, 18)))
     expected = make_policy(model()).predict(observations)[0]
     single = make_policy(model(real=TensorProto.FLOAT)).predict(observations)[0]
     np.testing.assert_allclose(single, expected, rtol=1e-4, atol=1e-6)

@@ -112,7 +112,7 @@ def test_the_greeting_says_what_an_observation_is():
     policy = make_policy(name, heavy)
     action, _ = policy.predict(make_env(PRESETS["slow-calm"]).reset(seed=0)[0])
     assert (action.shape, action.dtype) == ((2,), np.float32)
-    assert policy.predict(np.zeros((3, 18)))[0].shape == (3, 2)
+    assert policy.predict(np.ones((3, 18)))[0].shape == (3, 2)
     hello = json.loads(Path("hello.json").read_text())
     assert hello["auv_gym"] == programs.PROTOCOL
     assert [term["scale"] for term in hello["observation"]] == [term.scale for term in TERMS]
@@ -124,7 +124,7 @@ def test_the_greeting_says_what_an_observation_is():
 def test_questions_mark_the_starts_of_episodes():
     text = LOOP + "    begins = [float(s) for s in json.loads(line)['starts']]\n"
     policy = make_policy(program(text + "    answer = {'actions': [[b, -1.0] for b in begins]}\n" + TELL))
-    rows = np.zeros((3, 18))
+    rows = np.ones((3, 18))
 
     def starts(*memory):
         action, state = policy.predict(rows, *memory)
@@ -137,9 +137,9 @@ def test_questions_mark_the_starts_of_episodes():
     assert starts(state)[0] == [0, 0, 0]
     assert starts()[0] == [1, 1, 1]
     with pytest.raises(ValueError, match="state is of 3 vehicles, the observation of 2"):
-        policy.predict(np.zeros((2, 18)), state)
+        policy.predict(np.ones((2, 18)), state)
     with pytest.raises(ValueError, match=r"it must be \(18,\) or \(N, 18\)"):
-        policy.predict(np.zeros((2, 20)))
+        policy.predict(np.ones((2, 20)))
 
 
 def test_a_program_with_a_preview():
@@ -272,7 +272,7 @@ def test_the_time_of_an_answer_is_bounded_if_a_child_holds_the_pipes(rows, monke
     monkeypatch.setattr(programs, "START", 0.3)
     policy.step_limit = 0.0
     with pytest.raises(ProgramError, match=r"it has not answered for 0\.3 s"):
-        policy.predict(np.zeros((rows, 18)))
+        policy.predict(np.ones((rows, 18)))
     assert gone(*pids)
 
 
@@ -362,5 +362,5 @@ def test_a_large_batch_passes_through_the_pipes():
     text = LOOP + "    answer = {'actions': [row[:2] for row in json.loads(line)['observations']]}\n" + TELL
     policy = make_policy(program(text))
     assert isinstance(policy, ProgramPolicy)
-    rows = np.random.default_rng(0).uniform(-1, 1, (4096, 18))
+    rows = 1.0 - np.random.default_rng(0).random((4096, 18))
     np.testing.assert_array_equal(policy.predict(rows)[0], rows[:, :2].astype(np.float32))

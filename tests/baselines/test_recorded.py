@@ -172,6 +172,22 @@ def test_fingerprint_of_the_simulator_covers_equations_without_docstrings(tmp_pa
     assert "+ X) / m11" in text
     dynamics.write_text(text.replace("+ X) / m11", "+ 0.5 * X) / m11", 1))
     assert simulator_of(tmp_path) != now
+    dynamics.write_text(text)
+    for name in ("planning/driver.c", "scenarios/exogenous.c"):
+        source = (copy / name).read_text()
+        (copy / name).write_text(f"{source}static int another;\n")
+        assert simulator_of(tmp_path) != now
+        (copy / name).write_text(source)
+    assert simulator_of(tmp_path) == now
+
+
+@pytest.mark.parametrize("name", ["metrics", "rollout"])
+def test_fingerprint_of_the_simulator_covers_the_computation_of_metrics(name, tmp_path, monkeypatch):
+    now, real = fingerprints.simulator_fingerprint(), fingerprints._module
+    other = tmp_path / f"{name}.py"
+    other.write_text((ROOT / "baselines" / "evaluation" / f"{name}.py").read_text() + "\nANOTHER = 3\n")
+    monkeypatch.setattr(fingerprints, "_module", lambda file: real(other if file.name == other.name else file))
+    assert fingerprints.simulator_fingerprint() != now
 
 
 def test_rows_of_another_simulator_are_used_with_a_note(rows, monkeypatch):

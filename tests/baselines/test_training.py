@@ -35,6 +35,7 @@ from baselines.training.entry import main
 from baselines.training.hyperparameters import TRAINED_ENV, changes_of, hyperparameter_words, load_hyperparameters
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import PROGRAM, Options
+from baselines.training.request import Request
 from baselines.training.run_folder import RunFolder, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
 from research.trainings import shipped
@@ -125,6 +126,12 @@ def test_every_algorithm_gives_the_same_agent_after_an_interruption(algo, call, 
     assert again == rows
 
 
+def test_a_note_says_that_there_is_nothing_to_resume(call, capsys):
+    options = Options(scenario=("slow-calm",), timesteps=STEPS, out=Path("typo"), resume=True)
+    assert len(Request.of(options).folders) == 1
+    assert capsys.readouterr().err == "note: --out typo holds no run yet, so --resume begins one\n"
+
+
 def test_folder_of_a_run_is_not_overwritten(call, capsys):
     assert call(*tiny("ppo")) == 0
     before = {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
@@ -141,7 +148,9 @@ def test_folder_of_a_run_is_not_overwritten(call, capsys):
         assert message in err
         assert err.count("\n") == 1
     assert call(*tiny("ppo"), "--resume") == 0
-    assert "holds the finished agent" in capsys.readouterr().out
+    captured = capsys.readouterr()
+    assert "holds the finished agent" in captured.out
+    assert "note:" not in captured.err
     assert before == {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
 
 

@@ -207,6 +207,22 @@ def test_wrong_usage_is_one_line(arguments, says, capsys):
     assert err.count("\n") == 1
 
 
+def test_kept_results_of_another_simulator_are_computed_again(tmp_path, monkeypatch):
+    ran = []
+
+    def results(self, function, tasks):
+        ran.extend(tasks)
+        return [(task, dict.fromkeys(task.cases, 1.0)) for (task,) in tasks]
+
+    monkeypatch.setattr(command, "_WORK", tmp_path)
+    monkeypatch.setattr(command.Workers, "results", results)
+    options = command.Options(policy=("backstepping",), case=("calm",), episodes=2)
+    for simulator, runs in (("one", 1), ("one", 1), ("another", 2)):
+        monkeypatch.setattr(command, "simulator_fingerprint", lambda name=simulator: name)
+        assert command._results(options, "otter") == {"backstepping": {"calm": 1.0}}
+        assert len(ran) == runs
+
+
 @pytest.fixture
 def kept():
     return json.loads(comparison.TRANSFER_FILE.read_text(encoding="utf-8"))
