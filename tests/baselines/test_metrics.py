@@ -184,6 +184,8 @@ def test_difference_to_the_best_equals_a_paired_bootstrap():
     assert found.mean == pytest.approx(own.mean() - best.mean())
     other = stats.bootstrap((own - best,), np.mean, n_resamples=9999, method="percentile", rng=np.random.default_rng(4))
     np.testing.assert_allclose(found.ci95, other.confidence_interval, atol=0.002)
+    means = metrics.resamplings((40,))[0][1:] @ (own - best) / 40
+    assert found.ci95 == pytest.approx(np.percentile(means, (2.5, 97.5)), rel=1e-12)
 
 
 def test_each_policy_is_compared_with_the_best_one_without_full_information():
