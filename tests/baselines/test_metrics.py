@@ -16,7 +16,17 @@ from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, count_failures, difference, error_cap, has_failed, score
+from baselines.evaluation.score import (
+    capped,
+    count_failures,
+    difference,
+    error_cap,
+    has_failed,
+    lead,
+    relative_error,
+    score,
+    seeds_score,
+)
 
 
 def test_metrics_by_hand():
@@ -69,6 +79,24 @@ def test_score_by_hand():
     assert score(expert, expert, oracle).mean == 0
     assert score(expert, oracle, oracle).mean == 1
     assert math.isnan(score(oracle, policy, expert).mean)
+
+
+def test_lead_over_a_rival_by_hand():
+    """Errors are 6, 4 and 2 for both anchors and the rival, 3 and 2 for the two seeds: 1/4 and 1/2 ahead."""
+    zero, rival, one = ([np.full(4, a), np.full(4, b)] for a, b in ((1.0, 5.0), (1.0, 3.0), (0.5, 1.5)))
+    seeds = [np.array([[1.0] * 4, [0.5] * 4]), np.array([[2.0] * 4, [1.5] * 4])]
+    found = lead(zero, rival, seeds, one)
+    assert found.mean == pytest.approx(0.375)
+    assert found.ci95 == pytest.approx((0.25, 0.5))  # each seed twice
+    assert seeds_score(zero, seeds, one).mean == pytest.approx(0.875)
+
+
+def test_relative_error_by_hand():
+    """The ratios 1/2 and 8 have the geometric mean 2; with a second seed of three times the errors it is 4."""
+    rival, own = [np.full(4, 2.0), np.full(3, 1.0)], [np.full(4, 1.0), np.full(3, 8.0)]
+    assert relative_error(rival, own).mean == pytest.approx(2)
+    found = relative_error(rival, [np.stack((e, 3 * e)) for e in own])
+    assert (found.mean, *found.ci95) == pytest.approx((4, 2, 6))
 
 
 def run_of(scenario, policy, m):
