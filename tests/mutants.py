@@ -95,13 +95,13 @@ def variations(node, annotation):
 
 
 def nodes(tree):
-    """Return the nodes of a tree and whether they are in an annotation, without decorators."""
+    """Return the nodes of a tree and whether they are in an annotation, without decorators and `strict` of `zip`."""
     found, stack = [], [(tree, False)]
     while stack:
         node, annotation = stack.pop()
         found.append((node, annotation))
         for name, value in ast.iter_fields(node):
-            if name != "decorator_list":
+            if name != "decorator_list" and getattr(node, "arg", None) != "strict":
                 parts = value if isinstance(value, list) else [value]
                 inside = annotation or name in ("annotation", "returns")
                 stack += [(part, inside) for part in parts if isinstance(part, ast.AST)]
@@ -147,7 +147,11 @@ def tests_of(file, folder):
     """Return the arguments of pytest for one run after the other."""
     package, _, module = file.removesuffix(".py").replace("/", ".").rpartition(".")
     imports = re.compile(rf"\b{package}\.{module}\b|from {package} import .*\b{module}\b")
-    whole = [test for room in ("auv_gym", "baselines") for test in sorted((folder / "tests" / room).glob("test_*.py"))]
+    whole = [
+        test
+        for room in ("auv_gym", "baselines", "research")
+        for test in sorted((folder / "tests" / room).glob("test_*.py"))
+    ]
     near = [test for test in whole if test.stem == f"test_{module}" or imports.search(test.read_text(encoding="utf-8"))]
     near.sort(key=lambda test: test.stem != f"test_{module}")
     rest = [test for test in whole if test not in near and test.parent.name == file.split("/")[0]]

@@ -167,12 +167,22 @@ def test_constants_are_folded_and_equal_expressions_merged():
         graph.constant(1.0).index,
         graph.constant(-0.0).index,
     )
-    assert ((x < y) | True).value is True
+    truth = x < y
+    assert (truth | True).value is True
+    assert (truth & False).value is (False & truth).value is False
+    same = truth & True, True & truth, truth | False, False | truth, ~~truth
+    assert {node.index for node in same} == {truth.index}
+    assert SYMBOLS.where(truth, x, x).index == x.index
+    assert (x / 1.0).index == SYMBOLS.clip(x, -math.inf, math.inf).index == x.index
+    needed = x - -0.0, 1.0 / x, x - 1.0, SYMBOLS.clip(x, -math.inf, 1.0), SYMBOLS.clip(x, 1.0, math.inf)
+    assert x.index not in {node.index for node in needed}, "-0.0 - -0.0 is 0.0"
     assert (x * 0.0).value is None, "nan for an infinite x"
     sparse = Graph(structural=True)
     z = sparse.input("z")
     assert (z * 0.0).value == 0.0
-    assert (0.0 + z).index == z.index
+    assert (0.0 + z).index == (z + 0.0).index == (z - 0.0).index == (-(0.0 - z)).index == z.index
+    assert (0.0 / z).value == 0.0
+    assert (z / 0.0).value is None
     for wrong in (lambda: x + z, lambda: x**3):
         with pytest.raises(ValueError, match="symbol"):
             wrong()

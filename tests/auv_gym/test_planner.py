@@ -28,7 +28,7 @@ from auv_gym.planning.paths import (
     Spline,
 )
 from auv_gym.planning.planner import Planner, Reference, plan, printed_surge_rate
-from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates
+from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates, sideslip_step
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
@@ -167,6 +167,23 @@ def test_error_is_of_third_order_in_the_time_step(path):
     error = [np.abs(F_r - fine).max() for F_r in coarse]
     assert error[0] < 1e-3
     assert error[1] < error[0] / 8
+
+
+def test_a_single_step_of_the_sideslip_is_of_second_order():
+    """w' = -2 w + n(w, t) as it is integrated online, compared with a solution of small tolerance."""
+
+    def n(w, t):
+        return 0.5 * math.cos(3 * t) - w * w
+
+    exact = solve_ivp(lambda t, w: -2 * w + n(w, t), (0, 1), [0.3], rtol=1e-10, atol=1e-12).y[0, -1]
+    errors = []
+    for steps in (20, 40):
+        h, w, rest = 1 / steps, 0.3, n(0.3, 0.0) / steps
+        for k in range(1, steps + 1):
+            w, rest = sideslip_step(w, rest, lambda w, t=k * h, h=h: h * n(w, t), 2 * h, 0.9)
+        errors.append(abs(w - exact))
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+    assert sideslip_step(0.3, 2.0, lambda w: 2.0 * w, 0.1, 0.9) == (0.9, 1.8)
 
 
 @pytest.mark.parametrize(
