@@ -149,6 +149,18 @@ def test_derivatives_are_those_of_autograd():
         np.testing.assert_allclose(J @ direction, values[3:6], rtol=1e-12, atol=1e-12 * size)
 
 
+@pytest.mark.parametrize("x", [-2.0, -1.0, -0.0, 0.0, 0.5, 1.0, 2.0])
+def test_derivatives_at_kinks_are_those_of_autograd(x):
+    kernel = Kernel.traced(lambda z: {"J": [d for row in jacobian(limited(z, SYMBOLS), z) for d in row]}, {"z": 3})
+    own = [torch.tensor(a, requires_grad=True) for a in (x, -1.0, 1.0)]
+    J = [torch.autograd.grad(y, own, materialize_grads=True) for y in limited(own, tensors())]
+    assert kernel._on_floats((x, -1.0, 1.0)) == tuple(float(d) for row in J for d in row)
+
+
+def limited(z, ns):
+    return abs(z[0]), ns.clip(z[0], -1.0, 1.0), ns.clip(*z)
+
+
 def test_every_operation_has_a_derivative_and_a_printed_form():
     assert set(PULLBACKS) == set(OPERATIONS) - TRUTHS
     assert set(PYTHON.forms) == set(NUMPY.forms) == set(OPERATIONS)
