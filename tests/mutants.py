@@ -147,11 +147,7 @@ def tests_of(file, folder):
     """Return the arguments of pytest for one run after the other."""
     package, _, module = file.removesuffix(".py").replace("/", ".").rpartition(".")
     imports = re.compile(rf"\b{package}\.{module}\b|from {package} import .*\b{module}\b")
-    whole = [
-        test
-        for room in ("auv_gym", "baselines", "research")
-        for test in sorted((folder / "tests" / room).glob("test_*.py"))
-    ]
+    whole = [test for room in ("auv_gym", "baselines") for test in sorted((folder / "tests" / room).glob("test_*.py"))]
     near = [test for test in whole if test.stem == f"test_{module}" or imports.search(test.read_text(encoding="utf-8"))]
     near.sort(key=lambda test: test.stem != f"test_{module}")
     rest = [test for test in whole if test not in near and test.parent.name == file.split("/")[0]]
