@@ -7,7 +7,8 @@ import pytest
 
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.disturbances import RandomMismatch
-from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.stiffness import AT_REST, MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 
@@ -60,6 +61,18 @@ def test_cross_flow_of_zero_changes_no_rate():
     vehicle = Coefficients(*np.random.default_rng(1).uniform(10, 20, (13, 5)))
     zero = CrossFlow(*np.zeros((9, 5)))
     assert fastest_rate((*vehicle, *zero), (9.0, 0.0, 9.0)) == pytest.approx(fastest_rate(vehicle, (9.0, 0.0, 9.0)))
+
+
+@pytest.mark.parametrize("name", ["Y_rv", "Y_vr", "N_rv", "N_vr"])
+def test_damping_by_cross_flow_is_a_derivative_of_the_equations(name):
+    vehicle = 200.0, 260.0, 80.0, 70.0, 100.0, 50.0, *np.zeros(7)
+    vehicle += CrossFlow(*np.zeros(9))._replace(**{name: 3000.0})
+    v, r, h = 2.0, 0.7, 1e-6
+    ahead, astern, left, right = (
+        rates(0.0, 0.0, *at, AT_REST, vehicle)[3:] for at in ((v + h, r), (v - h, r), (v, r + h), (v, r - h))
+    )
+    decay = max((astern[0] - ahead[0]) / (2 * h), (right[1] - left[1]) / (2 * h))
+    assert fastest_rate(vehicle, AT_REST, (0.0, v, r)) == pytest.approx(decay)
 
 
 @pytest.mark.slow

@@ -17,14 +17,19 @@ from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
+    Score,
     capped,
     count_failures,
     difference,
     error_cap,
+    fixed,
+    fixed_ends,
     has_failed,
+    interval_text,
     lead,
     relative_error,
     score,
+    score_text,
     seeds_score,
 )
 
@@ -166,6 +171,14 @@ def console_text(entries):
     out = Console(width=300, file=io.StringIO())
     out.print(entries_table("A title", "speed_range", entries, out))
     return out.file.getvalue()
+
+
+def test_scores_as_text():
+    s = Score(0.12345, (-0.0001, 123.4))
+    assert (score_text(s), score_text(s, 1), interval_text(s)) == ("0.123", "0.1", "0.000 ... 123")
+    assert fixed(s.mean) == "0.123"
+    assert fixed_ends((0.1, 0.25)) == "0.100 ... 0.250"
+    assert {score_text(None), interval_text(None), score_text(Score(math.nan, (math.nan, math.nan)))} == {"-"}
 
 
 def test_score_intervals_are_paired():
