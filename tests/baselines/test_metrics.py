@@ -2,12 +2,14 @@
 
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rich.console import Console
 from scipy import stats
 
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import Measures
@@ -18,6 +20,7 @@ from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     Score,
+    cap_of,
     capped,
     count_failures,
     difference,
@@ -25,12 +28,14 @@ from baselines.evaluation.score import (
     fixed,
     fixed_ends,
     has_failed,
+    in_paper_metres,
     interval_text,
     lead,
     relative_error,
     score,
     score_text,
     seeds_score,
+    unit_of,
 )
 
 
@@ -73,6 +78,13 @@ def test_summary_by_hand():
     assert s.steady_rmse_m.p95 == pytest.approx(2.9)
     assert s.steady_rmse_m.cvar95 == 3
     assert (s.episodes, s.saturation) == (2, 0.5)
+
+
+def test_distances_of_a_vehicle_of_twice_the_length():
+    scenario = Scenario(name="slow-calm", vehicle=replace(PAPER_VEHICLE, m33=4 * PAPER_VEHICLE.m33))
+    assert (unit_of(scenario), unit_of(Scenario()), cap_of(scenario)) == (2, 1, 1.2)
+    m = in_paper_metres(measures([3.0]), scenario)
+    assert (m.rmse, m.steady_rmse, m.saturation) == (1.5, 1.5, 0.5)
 
 
 def test_score_by_hand():
