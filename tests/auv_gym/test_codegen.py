@@ -149,6 +149,18 @@ def test_derivatives_are_those_of_autograd():
         np.testing.assert_allclose(J @ direction, values[3:6], rtol=1e-12, atol=1e-12 * size)
 
 
+@pytest.mark.parametrize("x", [-2.0, -1.0, -0.0, 0.0, 0.5, 1.0, 2.0])
+def test_derivatives_at_kinks_are_those_of_autograd(x):
+    kernel = Kernel.traced(lambda z: {"J": [d for row in jacobian(limited(z, SYMBOLS), z) for d in row]}, {"z": 3})
+    own = [torch.tensor(a, requires_grad=True) for a in (x, -1.0, 1.0)]
+    J = [torch.autograd.grad(y, own, materialize_grads=True) for y in limited(own, tensors())]
+    assert kernel._on_floats((x, -1.0, 1.0)) == tuple(float(d) for row in J for d in row)
+
+
+def limited(z, ns):
+    return abs(z[0]), ns.clip(z[0], -1.0, 1.0), ns.clip(*z)
+
+
 def test_every_operation_has_a_derivative_and_a_printed_form():
     assert set(PULLBACKS) == set(OPERATIONS) - TRUTHS
     assert set(PYTHON.forms) == set(NUMPY.forms) == set(OPERATIONS)
@@ -167,12 +179,22 @@ def test_constants_are_folded_and_equal_expressions_merged():
         graph.constant(1.0).index,
         graph.constant(-0.0).index,
     )
-    assert ((x < y) | True).value is True
+    truth = x < y
+    assert (truth | True).value is True
+    assert (truth & False).value is (False & truth).value is False
+    same = truth & True, True & truth, truth | False, False | truth, ~~truth
+    assert {node.index for node in same} == {truth.index}
+    assert SYMBOLS.where(truth, x, x).index == x.index
+    assert (x / 1.0).index == SYMBOLS.clip(x, -math.inf, math.inf).index == x.index
+    needed = x - -0.0, 1.0 / x, x - 1.0, SYMBOLS.clip(x, -math.inf, 1.0), SYMBOLS.clip(x, 1.0, math.inf)
+    assert x.index not in {node.index for node in needed}, "-0.0 - -0.0 is 0.0"
     assert (x * 0.0).value is None, "nan for an infinite x"
     sparse = Graph(structural=True)
     z = sparse.input("z")
     assert (z * 0.0).value == 0.0
-    assert (0.0 + z).index == z.index
+    assert (0.0 + z).index == (z + 0.0).index == (z - 0.0).index == (-(0.0 - z)).index == z.index
+    assert (0.0 / z).value == 0.0
+    assert (z / 0.0).value is None
     for wrong in (lambda: x + z, lambda: x**3):
         with pytest.raises(ValueError, match="symbol"):
             wrong()

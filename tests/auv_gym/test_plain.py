@@ -62,7 +62,7 @@ def network(x, h):
     high *= 0.5
     h = h - np.clip(low, -1.0, 0.1)
     h += high * 2.0
-    return h, np.maximum(y[1:2], -0.05)
+    return h, np.maximum(np.concatenate((y[1:2], x[1:])), -0.05)
 
 
 PROGRAM = Program.traced(network, {"W": W, "column": COLUMN}, {"x": 3, "h": 2}, ("next", "out"))
@@ -77,7 +77,7 @@ def test_a_network_runs_as_loops_in_c():
     )
     dialect = c_dialect("float64")
     source = tables + tangent_function("tangent", dialect) + plain_program("run", PROGRAM, "tangent", dialect, {})
-    after, out = np.zeros(2), np.zeros(1)
+    after, out = np.zeros(2), np.zeros(3)
     shared(source, "float64").run(*map(address, (X, H, after, out)))
     np.testing.assert_allclose([*after, *out], EXPECTED, atol=1e-15)
 

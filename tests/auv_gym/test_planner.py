@@ -12,7 +12,7 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.kernels import driver
 from auv_gym.planning.paths import (
@@ -27,8 +27,8 @@ from auv_gym.planning.paths import (
     Sine,
     Spline,
 )
-from auv_gym.planning.planner import Planner, Reference, plan, printed_surge_rate
-from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates
+from auv_gym.planning.planner import Planner, Reference, assemble, plan, printed_surge_rate
+from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates, sideslip_step
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
@@ -169,6 +169,23 @@ def test_error_is_of_third_order_in_the_time_step(path):
     assert error[1] < error[0] / 8
 
 
+def test_a_single_step_of_the_sideslip_is_of_second_order():
+    """w' = -2 w + n(w, t) as it is integrated online, compared with a solution of small tolerance."""
+
+    def n(w, t):
+        return 0.5 * math.cos(3 * t) - w * w
+
+    exact = solve_ivp(lambda t, w: -2 * w + n(w, t), (0, 1), [0.3], rtol=1e-10, atol=1e-12).y[0, -1]
+    errors = []
+    for steps in (20, 40):
+        h, w, rest = 1 / steps, 0.3, n(0.3, 0.0) / steps
+        for k in range(1, steps + 1):
+            w, rest = sideslip_step(w, rest, lambda w, t=k * h, h=h: h * n(w, t), 2 * h, 0.9)
+        errors.append(abs(w - exact))
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+    assert sideslip_step(0.3, 2.0, lambda w: 2.0 * w, 0.1, 0.9) == (0.9, 1.8)
+
+
 @pytest.mark.parametrize(
     ("path", "mirrored"),
     [
@@ -242,6 +259,16 @@ def test_heading_is_continuous_over_laps(path, laps):
     assert R.psi[-1] - R.psi[0] == pytest.approx(laps * 2 * math.pi, abs=1e-4)
     assert np.abs(np.diff(R.psi)).max() < 0.1
     np.testing.assert_allclose(np.cos(R.psi + R.gamma) * R.v_p, path.derivatives(R.t)[1, 0], rtol=0, atol=1e-12)
+
+
+def test_assembled_plans_of_several_laps_equal_planned_ones():
+    paths, times = [PATHS["fast_circle"], replace(PATHS["fast_circle"], turn_rate=-0.3)], np.linspace(0, 60, 601)
+    R = plan(paths, PAPER_VEHICLE, times)
+    along = path_rates(np.stack([path.derivatives(times) for path in paths], axis=-1))
+    rows = Vehicle.unchecked(Coefficients(*np.repeat(np.array([PAPER_VEHICLE.coefficients]).T, 2, axis=1)))
+    found = assemble(times, np.stack((R.x, R.y)), along, np.sin(R.gamma), rows, (0 * R.u, 0 * R.u))
+    np.testing.assert_allclose(found.table, R.table, rtol=1e-9, atol=1e-9)
+    assert np.abs(R.psi[-1] - R.psi[0]).min() > 2 * math.pi
 
 
 @given(st.floats(0.1, 1.2), st.floats(0.1, 2.0), st.floats(-0.2, 0.2), st.floats(-0.5, -0.01))

@@ -7,7 +7,8 @@ import pytest
 
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.disturbances import RandomMismatch
-from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.stiffness import AT_REST, MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 
@@ -62,6 +63,18 @@ def test_cross_terms_of_zero_raise_the_bound_by_a_factor_of_two_at_most():
     with_them, without = (fastest_rate(row, (9.0, 0.0, 9.0)) for row in ((*vehicle, *zero), vehicle))
     assert (with_them >= without).all()
     assert (with_them <= 2 * without).all()
+
+
+@pytest.mark.parametrize("name", ["Y_rv", "Y_vr", "N_rv", "N_vr"])
+def test_damping_by_cross_flow_is_a_derivative_of_the_equations(name):
+    vehicle = 200.0, 260.0, 80.0, 70.0, 100.0, 50.0, *np.zeros(7)
+    vehicle += CrossTerms(*np.zeros(12))._replace(**{name: 3000.0})
+    v, r, h = 2.0, 0.7, 1e-6
+    ahead, astern, left, right = (
+        rates(0.0, 0.0, *at, AT_REST, vehicle)[3:] for at in ((v + h, r), (v - h, r), (v, r + h), (v, r - h))
+    )
+    decay = max((astern[0] - ahead[0]) / (2 * h), (right[1] - left[1]) / (2 * h))
+    assert decay <= fastest_rate(vehicle, AT_REST, (0.0, v, r)) < 1.1 * decay
 
 
 @pytest.mark.slow

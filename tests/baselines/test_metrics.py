@@ -2,12 +2,14 @@
 
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rich.console import Console
 from scipy import stats
 
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import Measures
@@ -16,7 +18,25 @@ from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, count_failures, difference, error_cap, has_failed, score
+from baselines.evaluation.score import (
+    Score,
+    cap_of,
+    capped,
+    count_failures,
+    difference,
+    error_cap,
+    fixed,
+    fixed_ends,
+    has_failed,
+    in_paper_metres,
+    interval_text,
+    lead,
+    relative_error,
+    score,
+    score_text,
+    seeds_score,
+    unit_of,
+)
 
 
 def test_metrics_by_hand():
@@ -60,6 +80,13 @@ def test_summary_by_hand():
     assert (s.episodes, s.saturation) == (2, 0.5)
 
 
+def test_distances_of_a_vehicle_of_twice_the_length():
+    scenario = Scenario(name="slow-calm", vehicle=replace(PAPER_VEHICLE, m33=4 * PAPER_VEHICLE.m33))
+    assert (unit_of(scenario), unit_of(Scenario()), cap_of(scenario)) == (2, 1, 1.2)
+    m = in_paper_metres(measures([3.0]), scenario)
+    assert (m.rmse, m.steady_rmse, m.saturation) == (1.5, 1.5, 0.5)
+
+
 def test_score_by_hand():
     """Errors are pooled before the division: (6 - 3) / (6 - 2), not the mean of the two ratios."""
     expert, policy, oracle = ([np.full(4, a), np.full(4, b)] for a, b in ((1.0, 5.0), (2.0, 1.0), (0.5, 1.5)))
@@ -69,6 +96,24 @@ def test_score_by_hand():
     assert score(expert, expert, oracle).mean == 0
     assert score(expert, oracle, oracle).mean == 1
     assert math.isnan(score(oracle, policy, expert).mean)
+
+
+def test_lead_over_a_rival_by_hand():
+    """Errors are 6, 4 and 2 for both anchors and the rival, 3 and 2 for the two seeds: 1/4 and 1/2 ahead."""
+    zero, rival, one = ([np.full(4, a), np.full(4, b)] for a, b in ((1.0, 5.0), (1.0, 3.0), (0.5, 1.5)))
+    seeds = [np.array([[1.0] * 4, [0.5] * 4]), np.array([[2.0] * 4, [1.5] * 4])]
+    found = lead(zero, rival, seeds, one)
+    assert found.mean == pytest.approx(0.375)
+    assert found.ci95 == pytest.approx((0.25, 0.5))  # each seed twice
+    assert seeds_score(zero, seeds, one).mean == pytest.approx(0.875)
+
+
+def test_relative_error_by_hand():
+    """The ratios 1/2 and 8 have the geometric mean 2; with a second seed of three times the errors it is 4."""
+    rival, own = [np.full(4, 2.0), np.full(3, 1.0)], [np.full(4, 1.0), np.full(3, 8.0)]
+    assert relative_error(rival, own).mean == pytest.approx(2)
+    found = relative_error(rival, [np.stack((e, 3 * e)) for e in own])
+    assert (found.mean, *found.ci95) == pytest.approx((4, 2, 6))
 
 
 def run_of(scenario, policy, m):
@@ -140,6 +185,14 @@ def console_text(entries):
     return out.file.getvalue()
 
 
+def test_scores_as_text():
+    s = Score(0.12345, (-0.0001, 123.4))
+    assert (score_text(s), score_text(s, 1), interval_text(s)) == ("0.123", "0.1", "0.000 ... 123")
+    assert fixed(s.mean) == "0.123"
+    assert fixed_ends((0.1, 0.25)) == "0.100 ... 0.250"
+    assert {score_text(None), interval_text(None), score_text(Score(math.nan, (math.nan, math.nan)))} == {"-"}
+
+
 def test_score_intervals_are_paired():
     """A factor per episode that all three policies share does not widen the interval."""
     rng = np.random.default_rng(0)
@@ -184,6 +237,8 @@ def test_difference_to_the_best_equals_a_paired_bootstrap():
     assert found.mean == pytest.approx(own.mean() - best.mean())
     other = stats.bootstrap((own - best,), np.mean, n_resamples=9999, method="percentile", rng=np.random.default_rng(4))
     np.testing.assert_allclose(found.ci95, other.confidence_interval, atol=0.002)
+    means = metrics.resamplings((40,))[0][1:] @ (own - best) / 40
+    assert found.ci95 == pytest.approx(np.percentile(means, (2.5, 97.5)), rel=1e-12)
 
 
 def test_each_policy_is_compared_with_the_best_one_without_full_information():
