@@ -28,7 +28,7 @@ from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, 
 RUN_IN = 12.0  # time constants Dm/d22 integrated before the first sample; the initial error decays by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in time constants Dm/d22
 MAX_RESPONSE = 0.1  # largest integration step times `sideslip.response`; the integration is unstable above 0.3
-_NO_BALANCE = "no yaw rate balances the sway force of cross-flow"
+_NO_BALANCE = "no yaw rate balances the sway force of the cross terms"
 _FINER = 2  # samples in a step of a vehicle with cross terms, see `crossed`
 _CROSSED_RESPONSE = 0.05  # `MAX_RESPONSE` of a vehicle with cross terms
 _SLOWEST = 10.0  # `Vehicle.time` of a vehicle with cross terms that count as a time constant in the run-in
@@ -225,7 +225,8 @@ class Planner:
         acting, limit = np.array(self.vehicle.acting), MAX_RESPONSE
         if self._crossed:
             (_, response), limit = steady_sideslips(along, acting), _CROSSED_RESPONSE
-        refinement = min(math.ceil(grid.h / limit * float(np.nanmax(response))), MAX_REFINEMENT)
+            response = response[np.isfinite(response)]  # elsewhere no yaw rate balances the forces
+        refinement = min(math.ceil(grid.h / limit * response.max(initial=0.0)), MAX_REFINEMENT)
         if refinement > 1:
             grid = self._grid(path, refinement)
             position, along, terms, _ = self._along_path(path, grid)
