@@ -66,7 +66,12 @@ class Law(ABC):
     """A control law: a policy without memory whose forces are a pure function of the observation's terms.
 
     The function computes on any namespace, so it can be traced, compiled and differentiated.
+
+    Attributes:
+        repeated: number of repeated commands since the law was made, see `predict`.
     """
+
+    repeated = 0
 
     @abstractmethod
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
@@ -95,6 +100,7 @@ class Law(ABC):
         if not measured(terms := observation[..., :SIZE]):
             rows = np.atleast_2d(terms)
             action, good = last_commands(rows), usable(rows)
+            vars(self)["repeated"] = self.repeated + int(np.count_nonzero(~good))  # a law may be a frozen dataclass
             if good.any():
                 o = decoded_terms(rows[good])
                 action[good] = np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1)

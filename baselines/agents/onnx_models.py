@@ -67,7 +67,7 @@ class OnnxModel(Batched):
                     f"its observation has shape {self._sizes['observation']}; it must be {width}, with two columns for "
                     "each time in its metadata entry preview"
                 )
-            self.predict(np.zeros((2, *width)))
+            self.predict(np.ones((2, *width)))
 
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool

@@ -165,10 +165,10 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     """Return an agent as a checked `onnx.ModelProto`.
 
     The inputs are the observation (batch, n) and the memory: arrays (batch, size), zero at the start of an episode. The
-    outputs are the action (batch, 2) and, with names next_..., the memory for the next call. If a number in a row of
-    the inputs or results is not finite or larger than `LARGEST` in magnitude, or a limit or the control period is not
-    positive, the action is the last one, which is in the observation, or zero where that is not in [-1, 1], and the
-    memory is the input memory.
+    outputs are the action (batch, 2), with names next_... the memory for the next call, and repeated (batch, 1). If a
+    number in a row of the inputs or results is not finite or larger than `LARGEST` in magnitude, or a limit or the
+    control period is not positive, the action is the last one, which is in the observation, or zero where that is not
+    in [-1, 1], and the memory is the input memory. Then `repeated` is true.
 
     Args:
         agent: the agent.
@@ -187,10 +187,12 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     ends = {"action": OUTPUTS} | {f"next_{name}": size for name, size in agent.memory.items()}
     for name in ends:
         writer.node("Where", [usable, results[name], before[name]], [name])
+    writer.node("Not", [usable], ["repeated"])
     inputs, outputs = (
         [helper.make_tensor_value_info(name, writer.real, ["batch", size]) for name, size in part.items()]
         for part in (sizes, ends)
     )
+    outputs.append(helper.make_tensor_value_info("repeated", writer.truth, ["batch", 1]))
     graph = helper.make_graph(writer.nodes, agent.name, inputs, outputs, list(writer.constants.values()))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="auv_gym")
     model.ir_version = IR_VERSION

@@ -70,8 +70,7 @@ def test_one_vehicle_repeats_its_command(name):
     again, remembered = policy.predict(after, held)
     np.testing.assert_array_equal(again, expected)
     assert_same(remembered, kept)
-    if isinstance(policy, Batched):
-        assert policy.repeated == len(good) * len(BAD) + len(POSITIVE) * len(NOT_POSITIVE)
+    assert policy.repeated == len(good) * len(BAD) + len(POSITIVE) * len(NOT_POSITIVE)
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])

@@ -249,15 +249,17 @@ def test_a_model_repeats_one_command_for_a_bad_input(name):
     given = {value: np.zeros(shape, precision) for value, shape in shapes.items() if value != "observation"}
     observations = [moment.observation.astype(precision) for moment in episodes(name).play(make_policy(name), 6)]
     for observation in observations[:4]:
-        _, *memory = session.run(None, {"observation": observation, **given})
+        _, *memory, _ = session.run(None, {"observation": observation, **given})
         given = dict(zip(given, memory, strict=True))
     good = observations[4]
-    expected = session.run(None, {"observation": good, **given})
+    *expected, repeated = session.run(None, {"observation": good, **given})
+    assert not repeated.any()
     for i in range(good.shape[1]):
         for value in (*BAD, 0.0, -1.0) if i in POSITIVE else BAD:
             bad = good.copy()
             bad[0, i] = value
-            action, *memory = session.run(None, {"observation": bad, **given})
+            action, *memory, repeated = session.run(None, {"observation": bad, **given})
+            assert repeated.tolist() == [[True], [False]]
             last = good[0, 15:17].copy()
             last[np.arange(15, 17) == i] = 0.0
             np.testing.assert_array_equal(action[0], last, err_msg=f"{value} in column {i}")
@@ -312,7 +314,8 @@ def test_description_of_the_model():
     assert facts["observation"].split("; ")[-1] == "ahead_40_y [m]"
     shapes = {i.name: i.type.tensor_type.shape.dim[1].dim_value for i in model.graph.input}
     assert shapes == {"observation": 26, "integrals": 4, "correction": 2, "hidden": 128}
-    assert [o.name for o in model.graph.output] == ["action", "next_integrals", "next_correction", "next_hidden"]
+    names = ["action", "next_integrals", "next_correction", "next_hidden", "repeated"]
+    assert [o.name for o in model.graph.output] == names
 
 
 def test_integers_are_within_half_a_step_of_the_weights():

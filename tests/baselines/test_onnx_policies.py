@@ -35,10 +35,17 @@ def _here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation", "sum", "action", "next_sum"), **told):
+def model(
+    width=18,
+    real=TensorProto.DOUBLE,
+    batch="batch",
+    names=("observation", "sum", "action", "next_sum"),
+    actions=2,
+    **told,
+):
     """Write a model with a memory and return the name of the policy."""
     kind = np.float64 if real == TensorProto.DOUBLE else np.float32
-    constants = {"W": np.resize(WEIGHTS, (width, 2)), "half": np.array(0.5)}
+    constants = {"W": np.resize(WEIGHTS, (width, actions)), "half": np.array(0.5)}
     observed, memory, action, following = names
     nodes = [
         helper.make_node("MatMul", [observed, "W"], ["product"]),
@@ -47,8 +54,8 @@ def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation"
         helper.make_node("Mul", ["total", "half"], [following]),
     ]
     value = helper.make_tensor_value_info
-    inputs = [value(observed, real, [batch, width]), value(memory, real, [batch, 2])]
-    outputs = [value(action, real, [batch, 2]), value(following, real, [batch, 2])]
+    inputs = [value(observed, real, [batch, width]), value(memory, real, [batch, actions])]
+    outputs = [value(action, real, [batch, actions]), value(following, real, [batch, actions])]
     given = [numpy_helper.from_array(array.astype(kind), name) for name, array in constants.items()]
     made = helper.make_model(
         helper.make_graph(nodes, "linear", inputs, outputs, given), opset_imports=[helper.make_opsetid("", 17)]
@@ -115,6 +122,7 @@ def test_the_fingerprint_is_that_of_the_file():
     [
         ({"width": 20}, "its observation has shape (20,); it must be (18,)"),
         ({"width": 22, "preview": "20, 10"}, "ascending"),
+        ({"actions": 3}, "returns arrays of shapes [(2, 3), (2, 3)] for 2 observations"),
         ({"batch": 1}, "fixed batch size of 1"),
         ({"names": ("observation", "sum", "action", "sum_after")}, "an output next_NAME"),
         ({"names": ("obs", "sum", "action", "next_sum")}, "required are observation and action"),
