@@ -202,6 +202,12 @@ def test_constants_are_folded_and_equal_expressions_merged():
         bool(x < y)
 
 
+@pytest.mark.parametrize("x", [[0.0], [0.0, 2.0]])
+def test_truth_values_that_are_known_become_numbers(x):
+    kernel = Kernel.traced(lambda x: {"y": [(x[0] < 1.0) | True, (x[0] < 1.0) & False]}, {"x": 1})
+    np.testing.assert_array_equal(kernel(x=np.array([x]))["y"], np.array([[1.0], [0.0]]) + 0 * np.array(x))
+
+
 @functools.cache
 def oscillator(back):
     """Return the kernel of x' = x + h v, v' = v - h x + push with results of every step and of the last."""
