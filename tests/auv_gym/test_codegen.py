@@ -202,6 +202,22 @@ def test_constants_are_folded_and_equal_expressions_merged():
         bool(x < y)
 
 
+@pytest.mark.parametrize("x", [[0.0], [0.0, 2.0]])
+def test_truth_values_that_are_known_become_numbers(x):
+    kernel = Kernel.traced(lambda x: {"y": [(x[0] < 1.0) | True, (x[0] < 1.0) & False]}, {"x": 1})
+    np.testing.assert_array_equal(kernel(x=np.array([x]))["y"], np.array([[1.0], [0.0]]) + 0 * np.array(x))
+
+
+def test_constants_may_be_infinite():
+    def equation(x):
+        below = x[0] < 1.0
+        return {"y": [SYMBOLS.where(below, -math.inf, math.inf), SYMBOLS.where(below, math.nan, x[0])]}
+
+    kernel, x, expected = Kernel.traced(equation, {"x": 1}), np.array([[0.0, 2.0]]), [[-np.inf, np.inf], [np.nan, 2.0]]
+    for found in (kernel(x=x)["y"], kernel._on_rows(x), np.transpose([kernel._on_floats([a]) for a in x[0]])):
+        np.testing.assert_array_equal(found, expected)
+
+
 @functools.cache
 def oscillator(back):
     """Return the kernel of x' = x + h v, v' = v - h x + push with results of every step and of the last."""
