@@ -18,9 +18,9 @@ VALIDATION_FILE = DATA / "validation.json"
 _NAMES = {"kvlcc2-hsva": "KVLCC2", "esso-osaka": "Esso Osaka"}
 _NOTES = {
     "kvlcc2-hsva": (
-        "The bands of the heading are too narrow: each run has its own rudder angle, so a run that is left out is often outside of "
-        "the range of the others. The largest errors are those of the largest angle, `Z_35_05`, and of a run that "
-        "begins to port, `Z_20_10_P`."
+        "The bands of the heading are too narrow: each run has its own rudder angle, so a run that is left out is "
+        "often outside of the range of the others. The largest errors are those of the largest angle, `Z_35_05`, and "
+        "of a run that begins to port, `Z_20_10_P`."
     ),
     "esso-osaka": (
         "Runs with random commands were left out before: their propeller turns astern, which the equations do not "
