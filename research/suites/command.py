@@ -109,7 +109,7 @@ def _build(name: str, _: Options) -> int:
 def _seal(name: str, _: Options) -> int:
     _check_sealed(name)
     secret = secrets.token_urlsafe(24)
-    sealed.write_seal(name, sealed.Seal(sealed.sha256(secret)))
+    sealed.write_seal(name, sealed.Seal(sealed.sha256(secret), sealed.worlds(name)))
     print(f"the secret of {name}, which is not stored anywhere: {secret}")
     return DONE
 
@@ -118,7 +118,7 @@ def _open(name: str, options: Options) -> int:
     _check_sealed(name)
     if name not in (kept := sealed.seals()):
         raise UsageError(f"{name} has no seal; make one with: {PROGRAM} seal {name}")
-    sealed.write_seal(name, kept[name].opened(options.secret or ""))
+    sealed.write_seal(name, kept[name].opened(options.secret or "", sealed.worlds(name)))
     return _build(name, options)
 
 

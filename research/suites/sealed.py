@@ -1,7 +1,7 @@
 """Sealed suites, whose episodes are secret until all policies are frozen.
 
-The scenarios of a sealed suite are public. Its episodes are drawn from a secret, and only the SHA-256 of the secret is
-in `SEALS`, committed before any measurement. So no policy can be trained, tuned or chosen on the episodes. After all
+The scenarios of a sealed suite are public. Its episodes are drawn from a secret, and only the SHA-256 of the secret and
+of the scenarios is in `SEALS`, committed before any measurement. So no policy can be trained, tuned or chosen on the episodes. After all
 policies are frozen, `python -m research suites open NAME --secret WORDS` checks the secret against the hash, publishes
 it and builds the suite, and `record NAME` runs the policies. From then on the suite is public, and the next one is
 sealed.
@@ -10,6 +10,7 @@ sealed.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from baselines.evaluation.suites import SuiteError
 from baselines.tools.files import json_text, read_json, write_atomically
 
 SEALS = Path(__file__).parent / "seals.json"
-"""File with the SHA-256 of each secret, and with the secrets of opened suites."""
+"""File with the SHA-256 of each secret and of the scenarios, and with the secrets of opened suites."""
 
 BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the speed ranges
 BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside the speed ranges
@@ -41,25 +42,34 @@ DRAG = (0.6, 1.4)  # drag of a vehicle as shares of the known one
 
 @dataclass(frozen=True)
 class Seal:
-    """The hash of a secret and, after the opening, the secret."""
+    """The hashes of a secret and of the scenarios and, after the opening, the secret."""
 
     sha256: str
+    worlds: str
     secret: str | None = None  # None: the suite is sealed
 
-    def opened(self, secret: str) -> Seal:
-        """Return the seal with its secret.
+    def opened(self, secret: str, worlds: str) -> Seal:
+        """Return the seal with its secret, for the hash of the present scenarios.
 
         Raises:
-            SuiteError: the secret does not have this hash.
+            SuiteError: the secret or the scenarios do not have these hashes.
         """
+        if worlds != self.worlds:
+            raise SuiteError(f"the scenarios have changed: their SHA-256 is {worlds}, that of the seal {self.worlds}")
         if sha256(secret) != self.sha256:
             raise SuiteError(f"this is not the secret: its SHA-256 is {sha256(secret)}, that of the seal {self.sha256}")
-        return Seal(self.sha256, secret)
+        return Seal(self.sha256, self.worlds, secret)
 
 
-def sha256(secret: str) -> str:
-    """Return the SHA-256 of a secret, in hexadecimal digits."""
-    return hashlib.sha256(secret.encode()).hexdigest()
+def worlds(name: str) -> str:
+    """Return the SHA-256 of the scenarios of a sealed suite, in hexadecimal digits."""
+    found = [[s.to_dict(), mission] for s, mission in sealed_worlds(**(FIRST if name == "sealed-v1" else {}))]
+    return sha256(json.dumps(found, sort_keys=True))
+
+
+def sha256(text: str) -> str:
+    """Return the SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def seed_of(secret: str) -> int:
@@ -89,8 +99,7 @@ def write_seal(name: str, seal: Seal) -> None:
     if name in known and known[name].sha256 != seal.sha256:
         raise SuiteError(f"{name} is sealed already, with SHA-256 {known[name].sha256}")
     known[name] = seal
-    record = {key: {"sha256": s.sha256, "secret": s.secret} for key, s in sorted(known.items())}
-    write_atomically(SEALS, json_text(record))
+    write_atomically(SEALS, json_text({key: vars(s) for key, s in sorted(known.items())}))
 
 
 def seed(name: str) -> int:

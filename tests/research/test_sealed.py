@@ -27,12 +27,16 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     monkeypatch.setattr(builder, "SEALED_EPISODES", 1)
     assert main(["seal", "sealed-v1"]) == DONE
     secret = capsys.readouterr().out.split()[-1]
-    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret))
+    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret), sealed.worlds("sealed-v1"))
     assert secret not in (empty / "seals.json").read_text()
     with pytest.raises(SuiteError, match="is sealed"):
         builder.build("sealed-v1")
     assert main(["open", "sealed-v1", "--secret", secret + "?"]) != DONE
     assert "not the secret" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(sealed, "FIRST", {**sealed.FIRST, "slew": 2.0})
+        assert main(["open", "sealed-v1", "--secret", secret]) != DONE
+    assert "the scenarios have changed" in capsys.readouterr().err
     assert main(["open", "sealed-v1", "--secret", secret]) == DONE
     suite = suites.load_suite("sealed-v1", empty)
     assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.sealed_worlds(**sealed.FIRST)]
@@ -41,9 +45,14 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
 
 
 def test_a_seal_is_not_replaced(empty):
-    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one")))
+    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one"), "worlds"))
     with pytest.raises(SuiteError, match="sealed already"):
-        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two")))
+        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two"), "worlds"))
+
+
+@pytest.mark.parametrize("name", ["sealed-v1", "sealed-v2"])
+def test_the_scenarios_are_those_of_the_seal(name):
+    assert sealed.worlds(name) == sealed.seals()[name].worlds
 
 
 @pytest.mark.parametrize(
