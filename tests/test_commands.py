@@ -42,7 +42,7 @@ CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "
 """Options of the shortest run of fresh episodes."""
 BY_CI = {"test-all", "test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "oldest", "soak"}
+BY_WORKFLOW = {"package", "oldest", "matrix", "soak"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

@@ -62,6 +62,7 @@ def test_metadata(built):
     [entry] = (content for name, content in found.items() if name.endswith(".dist-info/entry_points.txt"))
     about = message_from_bytes(text)
     assert about["Version"] == auv_gym.__version__
+    assert about["Metadata-Version"] == "2.4"  # the action that publishes the package accepts no newer one
     assert entry.decode().split() == ["[console_scripts]", "auv-gym", "=", "baselines.__main__:main"]
     urls = dict(url.split(", ") for url in about.get_all("Project-URL"))
     assert {"Homepage", "Documentation", "Source", "Changelog", "Issues"} <= set(urls)
