@@ -230,17 +230,15 @@ def kept():
 
 def test_the_sentences_of_the_page_are_true(kept):
     remus, boat = kept["remus100"], kept["otter"]
-    assert max(remus["tau"]["all"], boat["tau"]["all"]) < comparison.TAU
+    assert boat["tau"]["all"] < comparison.TAU < remus["tau"]["ci95"][0]
     for turn in remus["trials"]["turns"]:
-        assert 1.6 < turn["space"] / turn["plane"] < 2.2
-    for policy in remus["causes"]["policies"]:
-        assert remus["causes"]["growth"]["as published"][policy] > 1.3
-        assert 0.9 < remus["causes"]["growth"]["none of the three"][policy] < 1.1
-        assert 0.9 < boat["causes"]["growth"]["no push of the payload"][policy] < 1.1
-    nmpc, adaptive = (boat["policies"][name] for name in ("nmpc", "adaptive"))
-    assert nmpc["worst_plane_m"] > 10
-    assert nmpc["worst_space_m"] < 2
+        assert turn["space"] / turn["plane"] == pytest.approx(1.0, abs=0.05)
+    growth = [own["growth"] for own in remus["policies"].values()]
+    assert 0.9 < np.median(growth) < 1.0
+    for policy in ("lqi", "adaptive"):
+        assert min(remus["policies"][policy][place] for place in ("lost_plane", "lost_space")) > 20
+    assert max(boat["policies"], key=lambda name: boat["policies"][name]["growth"]) == "helm-any"
+    adaptive = boat["policies"]["adaptive"]
     assert [case for case, growth in adaptive["growth_by_case"].items() if growth >= 1] == ["storm"]
-    assert boat["tau"]["medians"] > boat["tau"]["all"]
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
