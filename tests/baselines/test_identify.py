@@ -19,7 +19,7 @@ from baselines.identification.command import PROGRAM, main
 from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
 from baselines.identification.least_squares import Left
-from baselines.identification.log import LOG_COLUMNS
+from baselines.identification.log import LOG_COLUMNS, joined
 from baselines.identification.model import COEFFICIENTS, CROSS_FLOW, FITTED_PARAMETERS, LogModel
 from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
 from baselines.identification.uncertainty import covariance
@@ -217,6 +217,7 @@ def columns(log, **changes):
         ({"t": lambda t: t[::-1]}, r"t goes from 60 to 59.9 s in data row 2; time must increase"),
         ({"x": lambda x: np.where(np.arange(len(x)) == 4, np.nan, x)}, "x in data row 5 is nan; every entry must be"),
         ({"F_u": lambda F: 0 * F, "F_r": lambda F: 0 * F}, "is 0 throughout"),
+        ({"F_r": lambda F: 0 * F}, "F_r is 0 throughout, but the vehicle turns"),
         ({"t": lambda t: t + 30 * (t > 30)}, "t has a gap of 30.1 s"),
     ],
 )
@@ -224,6 +225,17 @@ def test_a_log_that_cannot_be_is_refused(log, changes, says):
     table = np.column_stack(list(columns(log, **changes).values()))
     with pytest.raises(ValueError, match=says):
         Log(table[:, 0], table[:, 1:7], table[:, 7:])
+
+
+def test_a_log_of_wrong_shapes_is_refused(log):
+    for rows, wind, says in (
+        (log.measured[:, :5], None, r"measurements of shape \(\d+, 5\) .* must be \(\d+, 6\) and \(\d+, 2\)"),
+        (log.measured, log.measured[1:, :2], r"wind of shape \(\d+, 2\); it must be \(\d+, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            Log(log.t, rows, log.commands, wind=wind)
+    with pytest.raises(ValueError, match="there is no log"):
+        joined([])
 
 
 def test_interchanged_axes_and_short_logs_are_refused(log):
