@@ -266,6 +266,12 @@ def test_shared_arguments_may_have_values_for_each_step(n):
     np.testing.assert_array_equal(kernel(3, total=total, factor=factor)["total"], (x, y))
 
 
+def test_the_only_argument_may_have_values_for_each_step():
+    kernel = Kernel.traced(lambda push: {"twice": [2.0 * push[0]]}, {"push": 1}, ["push", "twice"])
+    push = np.random.default_rng(7).normal(size=(4, 1, 5))
+    np.testing.assert_array_equal(kernel(3, push=push)["twice"], 2 * push[:3])
+
+
 @needs_compiler
 def test_kernels_compiled_together_give_the_same_results(cache):
     programs = random_programs(np.random.default_rng(7), 3, 20)

@@ -12,6 +12,7 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.kernels import driver
@@ -28,7 +29,7 @@ from auv_gym.planning.paths import (
     Spline,
 )
 from auv_gym.planning.planner import Planner, Reference, assemble, plan, printed_surge_rate
-from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates, sideslip_step
+from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates, sideslip_step, steady_sideslip
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
@@ -167,6 +168,16 @@ def test_error_is_of_third_order_in_the_time_step(path):
     error = [np.abs(F_r - fine).max() for F_r in coarse]
     assert error[0] < 1e-3
     assert error[1] < error[0] / 8
+
+
+def test_steady_sideslip_is_close_on_a_path_that_turns_more_and_less():
+    """Up to 42 degrees; the one without the change of the sideslip, tan(gamma) = -m omega / D, is four times as far."""
+    path, t = Ellipse(6.0, 4.0, 0.25), np.linspace(0, 40, 801)
+    along, w = path_rates(path.derivatives(t)), np.sin(plan(path, PAPER_VEHICLE, t).gamma)
+    tan = -PAPER_VEHICLE.m11 * along.omega / (PAPER_VEHICLE.d22 + PAPER_VEHICLE.m22 * along.v_p_dot / along.v_p)
+    error = np.abs(steady_sideslip(along, PAPER_VEHICLE, ARRAYS) - w)[200:].max()
+    assert error < 0.015
+    assert np.abs(np.sin(np.arctan(tan)) - w)[200:].max() > 4 * error
 
 
 def test_a_single_step_of_the_sideslip_is_of_second_order():

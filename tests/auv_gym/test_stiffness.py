@@ -45,6 +45,14 @@ def test_extremes_are_at_least_as_stiff_as_all_draws():
     assert rates.max() > 0.5 * bound
 
 
+def test_the_extremes_of_a_mismatch_without_intervals_are_the_one_draw():
+    factors = {"mass": 0.9, "ratio": 1.1, "m33": 0.8, "d11": 1.2, "d22": 0.7, "d33": 1.3, "quadratic": 0.4}
+    mismatch, more = RandomMismatch(**factors), {"Y_uv": 40.0, "Y_ur": 5.0, "N_uv": 5.0, "N_ur": 20.0, "Y_vr": 3.0}
+    vehicle = replace(PAPER_VEHICLE, X_uu=40.0, Y_vv=150.0, N_rr=60.0, **more)
+    drawn = mismatch.draw(np.random.default_rng(0).random, vehicle).all_coefficients
+    np.testing.assert_allclose(mismatch.extremes(vehicle), np.repeat(np.array([drawn]).T, 32, axis=1), rtol=1e-14)
+
+
 def test_fast_starts_and_other_vehicles_are_checked_before_anything_changes():
     env = UnderactuatedAUVTrackEnv(replace(CALM, mismatch=RandomMismatch(quadratic=1.0)))
     before = env.reset(seed=3)[0]

@@ -21,7 +21,7 @@ from baselines.identification.command import PROGRAM, main
 from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
 from baselines.identification.least_squares import Left
-from baselines.identification.log import LOG_COLUMNS
+from baselines.identification.log import LOG_COLUMNS, joined
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel
 from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
 from baselines.identification.uncertainty import covariance
@@ -222,6 +222,7 @@ def columns(log, **changes):
         ({"F_u": lambda F: 1e-200 * F, "F_r": lambda F: 1e-200 * F}, "throughout"),
         ({"y": lambda y: 1e200 * y}, "y in data row 1 is .*; every entry must be a number of at most 1e.12"),
         ({name: lambda w: 1e-20 * w for name in ("x", "y", "u", "v", "r")}, "the vehicle must move"),
+        ({"F_r": lambda F: 0 * F}, "F_r is 0 throughout, but the vehicle turns"),
         ({"t": lambda t: t + 30 * (t > 30)}, "t has a gap of 30.1 s"),
     ],
 )
@@ -229,6 +230,17 @@ def test_a_log_that_cannot_be_is_refused(log, changes, says):
     table = np.column_stack(list(columns(log, **changes).values()))
     with pytest.raises(ValueError, match=says):
         Log(table[:, 0], table[:, 1:7], table[:, 7:])
+
+
+def test_a_log_of_wrong_shapes_is_refused(log):
+    for rows, wind, says in (
+        (log.measured[:, :5], None, r"measurements of shape \(\d+, 5\) .* must be \(\d+, 6\) and \(\d+, 2\)"),
+        (log.measured, log.measured[1:, :2], r"wind of shape \(\d+, 2\); it must be \(\d+, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            Log(log.t, rows, log.commands, wind=wind)
+    with pytest.raises(ValueError, match="there is no log"):
+        joined([])
 
 
 def test_interchanged_axes_and_short_logs_are_refused(log):

@@ -183,6 +183,9 @@ def brief(episodes, policy, run=TuningEpisodes.run):
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
         (["lqi", "--price", "2"], "--price is 2"),
         (["lqi", "--speed-range", "fast"], "speed-range"),
+        (["lqi", "--vehicle", "remus100", "--price", "0.1"], "--vehicle excludes --price and --resume"),
+        (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
+        (["lqi", "--start", "none.json"], "--start none.json has no gains"),
     ],
 )
 def test_wrong_usage_is_answered_in_one_line(arguments, reason):
