@@ -36,10 +36,10 @@ def strips(drag, length, count=20):
 def lauv():
     fins = 2 * 0.5 * 1028 * 0.0064 * 3.0 * 0.4 * math.radians(30)
     spin = 18 * (3 * 0.075**2 + 1.08**2) / 12
-    hull = {"m11": 18 + 1, "m22": 18 + 16, "m33": spin + 1.3, "d11": 2.4, "d22": 23, "d33": 9.7}
-    hull |= {"d23": -11.5, "d32": 3.1, "Y_rr": -0.3, "N_vv": 1.5, "eps": (spin + 1.3) / (18 + 16) / 0.4}
+    body = {"m11": 18 + 1, "m22": 18 + 16, "m33": spin + 1.3, "d11": 2.4, "d22": 23, "d33": 9.7}
+    body |= {"d23": -11.5, "d32": 3.1, "Y_rr": -0.3, "N_vv": 1.5, "eps": (spin + 1.3) / (18 + 16) / 0.4}
     return {
-        **hull,
+        **body,
         "X_uu": 2.4,
         "Y_vv": 80,
         "N_rr": 9.1,
@@ -56,16 +56,16 @@ def remus100():
     n, D, J = 1525 / 60, 0.14, 0.944 * 2.5 / (0.14 * 1525 / 60)
     thrust = 0.9 * rho * D**4 * n * n * (0.4566 + (0.1798 - 0.4566) / 0.6632 * J)
     fin = 0.5 * rho * 0.0133 * 0.5 * a * math.radians(15)
-    hull = {"m11": m11, "m22": m22, "m33": m33, "d33": m33, "Y_ur": m11 - m}
-    hull |= {"d11": math.exp(-3 * 0.8) * m11 / 20, "d22": math.exp(-3 * 0.8) * m22 / 20}
-    hull |= {"X_vr": m22 - m, "eps": m33 / m22 / a, **strips(0.5 * rho * 2 * b * hoerner(0.5), 2 * a)}
+    body = {"m11": m11, "m22": m22, "m33": m33, "d33": m33, "Y_ur": m11 - m}
+    body |= {"d11": math.exp(-3 * 0.8) * m11 / 20, "d22": math.exp(-3 * 0.8) * m22 / 20}
+    body |= {"X_vr": m22 - m, "eps": m33 / m22 / a, **strips(0.5 * rho * 2 * b * hoerner(0.5), 2 * a)}
     drag = {"X_uu": 0.5 * rho * 0.42 * math.pi * b * b, "N_uv": m22 - m11}
-    return {**hull, **drag, "fin": fin, "F_u_max": thrust, "F_r_max": fin * 2.5**2}
+    return {**body, **drag, "fin": fin, "F_u_max": thrust, "F_r_max": fin * 2.5**2}
 
 
 def eca_a9():
     fin = 4 * 7.2 * math.sqrt(0.5) * 0.70777 * math.radians(20)
-    hull = {
+    body = {
         "m11": 69.7 + 4,
         "m22": 69.7 + 95,
         "m33": 35 + 32,
@@ -76,8 +76,8 @@ def eca_a9():
         "Y_uv": 162,
     }
     lift = {"Y_ur": 150, "N_uv": -34, "N_ur": 32}
-    hull["eps"] = 67 / 164.7 / 0.70777
-    return {**hull, **lift, "fin": fin, "F_u_max": 8 * 2.5**2, "F_r_max": fin * 2.5**2}
+    body["eps"] = 67 / 164.7 / 0.70777
+    return {**body, **lift, "fin": fin, "F_u_max": 8 * 2.5**2, "F_r_max": fin * 2.5**2}
 
 
 def nps_auv2():
@@ -106,23 +106,23 @@ def otter():
 
 
 def cybership2():
-    hull = {"m11": 23.8 + 2, "m22": 23.8 + 10, "m33": 1.76 + 1, "d11": 0.72253, "d22": 0.88965, "d33": 1.9}
+    body = {"m11": 23.8 + 2, "m22": 23.8 + 10, "m33": 1.76 + 1, "d11": 0.72253, "d22": 0.88965, "d33": 1.9}
     drag = {"X_uu": 1.32742, "Y_vv": 36.47287, "N_rr": 0.75}
-    return {**hull, **drag, "F_u_max": 8, "F_r_max": 2.5, "astern": 0.5}
+    return {**body, **drag, "F_u_max": 8, "F_r_max": 2.5, "astern": 0.5}
 
 
 def gunnerus():
     m = 574127.69
-    hull = {"m11": m + 26599.24721721, "m22": m + 132619.44, "m33": 41237080 + 13320142}
+    body = {"m11": m + 26599.24721721, "m22": m + 132619.44, "m33": 41237080 + 13320142}
     drag = {"d11": 1117.59831, "d22": 22288.64, "d33": 1949686.56, "X_uu": 1671.60006965, "Y_vv": 23611.351393}
-    return {**hull, **drag, "N_rr": 365427334, "F_u_max": 154273, "F_r_max": 0.6 * 154273 * 15.5600097}
+    return {**body, **drag, "N_rr": 365427334, "F_u_max": 154273, "F_r_max": 0.6 * 154273 * 15.5600097}
 
 
 def supply():
     m, L = 6000e3, 76.2
     rate = m * math.sqrt(9.81 / L)
-    hull = {"m11": 1.1274 * m, "m22": 1.8902 * m, "m33": 0.1278 * m * L * L}
-    return {**hull, "d11": 0.0358 * rate, "d22": 0.1183 * rate, "d33": 0.0308 * rate * L * L}
+    body = {"m11": 1.1274 * m, "m22": 1.8902 * m, "m33": 0.1278 * m * L * L}
+    return {**body, "d11": 0.0358 * rate, "d22": 0.1183 * rate, "d33": 0.0308 * rate * L * L}
 
 
 SOURCES = {

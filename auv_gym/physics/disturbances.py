@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossTerms, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, PARAMETERS, CrossTerms, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -174,104 +174,62 @@ class RandomMismatch:
         size = len(vehicle.all_coefficients)
         if wrong := [len(row) for row in self.vehicles if len(row) != size]:
             raise ValueError(f"mismatch vehicles has a row of {wrong[0]} numbers; for this vehicle it must have {size}")
-        for own in map(_vehicle_of, self.vehicles or (vehicle.all_coefficients,)):
-            self._check_one(own)
-
-    def _check_one(self, vehicle: Vehicle) -> None:
-        """Raise ValueError as `check`, for one vehicle of the ensemble."""
         lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
-        least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
-        if lowest < least:
-            raise ValueError(
-                f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
-            )
-        for end in (0.0, 1.0):
-            coefficients, cross_terms = self._drawn(lambda end=end: end, vehicle)  # type: ignore[misc]
-            Vehicle(*coefficients, **({} if cross_terms is None else cross_terms._asdict()))
+        for row in self._rows(vehicle):
+            m11, m22, *_ = row
+            least = MIN_MASS_RATIO * (1 + 1e-9) * m11 / m22
+            if lowest < least:
+                raise ValueError(
+                    f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least "
+                    f"{least:.4g}"
+                )
+            for end in (0, 1):
+                true = self._true(row, [_ends(interval)[end] for interval in self._intervals])
+                Vehicle(**dict(zip(PARAMETERS, true, strict=False)))
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
-        return Vehicle.unchecked(*self._drawn(uniform, vehicle))
-
-    def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossTerms | None]:
-        """Return the parameters of one true vehicle; None without cross terms."""
-        crossed = any(vehicle.cross_terms)
-        if self.vehicles:
-            index = np.minimum(np.asarray(uniform()) * len(self.vehicles), len(self.vehicles) - 1).astype(np.int64)
+        row: Sequence[Number] = vehicle.all_coefficients
+        if count := len(self.vehicles):
+            index = np.minimum(np.asarray(uniform()) * count, count - 1).astype(np.int64)
             row = [x.item() if x.ndim == 0 else x for x in np.array(self.vehicles).T[:, index]]
-            vehicle = Vehicle.unchecked(*_parts(row))
-        mass, ratio, m33, d11, d22, d33, q = (
-            draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
-        )
-        X_uu, Y_vv, N_rr = self.quadratic_drag
-        coefficients = Coefficients(
-            vehicle.m11 * mass,
-            vehicle.m22 * mass * ratio,
-            vehicle.m33 * m33,
-            vehicle.d11 * d11,
-            vehicle.d22 * d22,
-            vehicle.d33 * d33,
-            vehicle.X_uu * d11 + q * X_uu,
-            vehicle.Y_vv * d22 + q * Y_vv,
-            vehicle.N_rr * d33 + q * N_rr,
-            vehicle.Y_uv * d22,
-            vehicle.Y_ur,
-            vehicle.N_uv,
-            vehicle.N_ur * d33,
-        )
-        return coefficients, _crossed(vehicle, d11, d22, d33) if crossed else None
+        return Vehicle.unchecked(self._true(row, [draw(interval, uniform) for interval in self._intervals]))
 
     def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
 
         Much quadratic drag gives a fast decay; little drag allows high speeds.
         """
-        own = map(_vehicle_of, self.vehicles or (vehicle.all_coefficients,))
-        return tuple(map(np.concatenate, zip(*map(self._extremes_of, own), strict=True)))
+        mass, ratio, m33, *drags = map(_ends, self._intervals)
+        corners = np.array([*itertools.product(mass[:1], ratio, m33[:1], *drags)]).T
+        several = [np.broadcast_arrays(*self._true(row, corners)) for row in self._rows(vehicle)]
+        return tuple(map(np.concatenate, zip(*several, strict=True)))
 
-    def _extremes_of(self, vehicle: Vehicle) -> tuple[Any, ...]:
-        """Return `extremes` for one vehicle of the ensemble."""
-        (mass, _), (m33, _) = (_ends(x) for x in (self.mass, self.m33))
-        corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33, self.quadratic)))
-        ratio, d11, d22, d33, q = np.array([*corners]).T
-        X_uu, Y_vv, N_rr = self.quadratic_drag
-        one = np.ones_like(ratio)
-        coefficients = Coefficients(
-            vehicle.m11 * mass * one,
-            vehicle.m22 * mass * ratio,
-            vehicle.m33 * m33 * one,
-            vehicle.d11 * d11,
-            vehicle.d22 * d22,
-            vehicle.d33 * d33,
-            vehicle.X_uu * d11 + q * X_uu,
-            vehicle.Y_vv * d22 + q * Y_vv,
-            vehicle.N_rr * d33 + q * N_rr,
-            vehicle.Y_uv * d22,
-            vehicle.Y_ur * one,
-            vehicle.N_uv * one,
-            vehicle.N_ur * d33,
-        )
-        return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_terms) else coefficients
+    @property
+    def _intervals(self) -> tuple[Interval, ...]:
+        """The intervals of the factors, in the order of `_true`."""
+        return self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic
 
+    def _rows(self, vehicle: Vehicle) -> Sequence[Sequence[float]]:
+        """Return the parameters of the ensemble, or of the nominal vehicle."""
+        return self.vehicles or (vehicle.all_coefficients,)
 
-def _parts(row: Sequence[Any]) -> tuple[Coefficients, CrossTerms | None]:
-    """Return the parameters of `Vehicle.all_coefficients`; None without cross terms."""
-    size = len(Coefficients._fields)
-    return Coefficients(*row[:size]), CrossTerms(*row[size:]) if len(row) > size else None
-
-
-def _vehicle_of(row: Sequence[float]) -> Vehicle:
-    """Return the vehicle of a row; raise ValueError if it cannot exist."""
-    coefficients, cross_terms = _parts(row)
-    return Vehicle(*coefficients, **(cross_terms._asdict() if cross_terms else {}))
-
-
-def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossTerms:
-    """Return the cross terms of a vehicle whose drags are multiplied by factors, floats or rows; eps is kept."""
-    least = d22 + (d33 - d22) * (d33 < d22)
-    factors = (d11 if name[0] == "X" else least for name in CrossTerms._fields[:-1])
-    *damping, eps = vehicle.cross_terms
-    return CrossTerms._make([*(c * factor for c, factor in zip(damping, factors, strict=True)), eps + 0.0 * least])
+    def _true(self, row: Sequence[Number], factors: Iterable[Number]) -> tuple[Number, ...]:
+        """Return the parameters of a vehicle with factors applied: floats or rows, as `Vehicle.all_coefficients`."""
+        m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, Y_uv, Y_ur, N_uv, N_ur, *cross = row
+        mass, ratio, inertia, surge, sway, yaw, q = factors
+        more = [q * drag for drag in self.quadratic_drag]
+        if cross:
+            *damping, eps = cross
+            least = sway + (yaw - sway) * (yaw < sway)
+            names = CrossTerms._fields[:-1]
+            scaled = [c * (surge if name[0] == "X" else least) for name, c in zip(names, damping, strict=True)]
+            cross = [*scaled, eps]
+        return (
+            m11 * mass, m22 * mass * ratio, m33 * inertia, d11 * surge, d22 * sway, d33 * yaw,
+            X_uu * surge + more[0], Y_vv * sway + more[1], N_rr * yaw + more[2],
+            Y_uv * sway, Y_ur, N_uv, N_ur * yaw, *cross,
+        )  # fmt: skip
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

@@ -110,5 +110,6 @@ class Shaft:
             ns: the namespace of the numbers.
         """
         n, angle = (ns.clip(c, -1.0, 1.0) * most for c, most in zip(command, (self.n_max, self.angle_max), strict=True))
-        X, _, N = stern_load(thrust(n, u, self.stern), angle, u, v, r, self.stern, ns)
+        stern = self.stern
+        X, _, N = stern_load(thrust(n, u, stern), angle, u, v, r, stern, ns)
         return X, N

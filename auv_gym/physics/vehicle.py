@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,16 @@ class Coefficients(NamedTuple):
     def without_lift(self) -> tuple[Number, ...]:
         """The coefficients without lift; with them `dynamics.rates` does not compute it."""
         return self[: len(self) - len(_LIFT)]
+
+    @property
+    def has_cross_terms(self) -> bool:
+        """Whether cross terms follow, see `with_names`."""
+        return len(self) > len(Coefficients._fields)
+
+    @property
+    def acting(self) -> tuple[Number, ...]:
+        """The row itself, as `Vehicle.acting`."""
+        return self
 
     @property
     def slip_mass(self) -> Number:
@@ -70,6 +80,10 @@ class CrossTerms(NamedTuple):
         )
 
 
+PARAMETERS = (*Coefficients._fields, *CrossTerms._fields)
+"""Names of the parameters, in the order of `Vehicle.all_coefficients`."""
+
+
 def with_names(rows: Sequence[Number]) -> Coefficients:
     """Return rows of `Vehicle.all_coefficients` with the names of `Coefficients`; cross terms follow without names."""
     return tuple.__new__(Coefficients, rows)
@@ -77,6 +91,7 @@ def with_names(rows: Sequence[Number]) -> Coefficients:
 
 _LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
+_CROSS_TERMS = attrgetter(*CrossTerms._fields)
 SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossTerms._fields[:-1])
 """Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
@@ -160,7 +175,7 @@ class Vehicle:
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
-        if any(self.cross_terms):
+        if self.has_cross_terms:
             self._check_damping()
 
     def _check_damping(self) -> None:
@@ -182,12 +197,10 @@ class Vehicle:
                 )
 
     @classmethod
-    def unchecked(cls, coefficients: Coefficients, cross_terms: CrossTerms | None = None) -> Vehicle:
-        """Return a vehicle of parameters that are known to be valid, or of rows of those of N vehicles."""
+    def unchecked(cls, parameters: Sequence[Number]) -> Vehicle:
+        """Return a vehicle of `all_coefficients` that are known to be valid, or of rows of those of N vehicles."""
         vehicle = object.__new__(cls)
-        vehicle.__dict__.update(zip(Coefficients._fields, coefficients, strict=True), speed=cls.speed)
-        if cross_terms is not None:
-            vehicle.__dict__.update(cross_terms._asdict())
+        vehicle.__dict__.update(zip(PARAMETERS, parameters, strict=False), speed=cls.speed)
         return vehicle
 
     @property
@@ -206,19 +219,24 @@ class Vehicle:
         return any(getattr(self, name) for name in _LIFT)
 
     @property
+    def has_cross_terms(self) -> bool:
+        """Whether it has any cross terms; laws ask it in each step."""
+        return any(_CROSS_TERMS(self))
+
+    @property
     def cross_terms(self) -> CrossTerms:
         """The cross terms of damping, the surge loss in turns and the tracked point."""
-        return CrossTerms(*(getattr(self, name) for name in CrossTerms._fields))
+        return CrossTerms._make(_CROSS_TERMS(self))
 
-    @cached_property
+    @property
     def acting(self) -> tuple[Number, ...]:
         """The shortest row of coefficients that `dynamics.rates` takes for it."""
-        return self.all_coefficients if self.has_lift or any(self.cross_terms) else self.coefficients.without_lift
+        return self.all_coefficients if self.has_lift or self.has_cross_terms else self.coefficients.without_lift
 
     @property
     def all_coefficients(self) -> tuple[Number, ...]:
         """The coefficients, and the cross terms behind them if there are any."""
-        return (*self.coefficients, *self.cross_terms) if any(self.cross_terms) else self.coefficients
+        return (*self.coefficients, *self.cross_terms) if self.has_cross_terms else self.coefficients
 
     @property
     def coefficients(self) -> Coefficients:

@@ -7,7 +7,8 @@ gives r, and with it gamma'. The equation of gamma is integrated with classical 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -35,15 +36,18 @@ def _missing(along: PathRates, w: Symbol, r: Symbol, acting: Sequence[Symbol]) -
     return needed - u * r - v_dot, abs(needed) + abs(u * r) + abs(v_dot)
 
 
+def _zero(f: Callable[[Symbol], Symbol], x: Symbol, most: float = math.inf) -> tuple[Symbol, Symbol]:
+    """Return where f is zero, by Newton's method within +-most from a guess in a node of its own, and f' there."""
+    for _ in range(_ITERATIONS):
+        (slope,) = directional([value := f(x)], {x.index: 1.0})
+        x = x - value / slope
+        x = x if math.isinf(most) else SYMBOLS.clip(x, -most, most)
+    return x, directional([f(x)], {x.index: 1.0})[0]
+
+
 def _yaw_rate(along: PathRates, w: Symbol, acting: Sequence[Symbol]) -> tuple[Symbol, Symbol]:
     """Return r [rad/s] at which no sway force is missing, and the derivative of what is missing by r there."""
-    r = 1.1 * along.omega  # a guess in a node of its own
-    for _ in range(_ITERATIONS):
-        missing, _ = _missing(along, w, r, acting)
-        (slope,) = directional([missing], {r.index: 1.0})
-        r = r - missing / slope
-    (slope,) = directional([_missing(along, w, r, acting)[0]], {r.index: 1.0})
-    return r, slope
+    return _zero(lambda r: _missing(along, w, r, acting)[0], 1.1 * along.omega)
 
 
 def steady_sideslips(along: Array, acting: Array) -> tuple[Array, Array]:
@@ -89,21 +93,16 @@ def _steady(size: int) -> Kernel:
     def equation(along: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
         path = PathRates(*along)
 
-        def solved(r: Symbol, w: Symbol) -> tuple[Symbol, Symbol, Symbol]:
-            """Return the sine, what is missing and its derivative at a yaw rate, by Newton's method."""
-            for _ in range(_ITERATIONS):
-                missing, _ = _missing(path, w, r, vehicle)
-                (slope,) = directional([missing], {w.index: 1.0})
-                w = SYMBOLS.clip(w - missing / slope, -_LARGEST_SINE, _LARGEST_SINE)
-            missing, _ = _missing(path, w, r, vehicle)
-            return w, missing, directional([missing], {w.index: 1.0})[0]
+        def missing(w: Symbol, r: Symbol) -> Symbol:
+            return _missing(path, w, r, vehicle)[0]
 
-        w, missing, slope = solved(path.omega, -0.1 * path.omega)
+        w, slope = _zero(lambda w: missing(w, path.omega), -0.1 * path.omega, _LARGEST_SINE)
         changes = (path.v_p, path.v_p_dot), (path.omega, path.omega_dot), (path.v_p_dot, path.v_p_ddot)
         directions = {**{symbol.index: rate for symbol, rate in changes}, w.index: 0.0}
-        w_dot = -directional([missing], directions)[0] / slope
-        w, _, slope = solved(r := path.omega - w_dot / SYMBOLS.sqrt(1 - w * w), w)
-        (by_r,) = directional([_missing(path, w, r, vehicle)[0]], {r.index: 1.0, w.index: 0.0})
+        w_dot = -directional([missing(w, path.omega)], directions)[0] / slope
+        r = path.omega - w_dot / SYMBOLS.sqrt(1 - w * w)
+        w, slope = _zero(lambda w: missing(w, r), w, _LARGEST_SINE)
+        (by_r,) = directional([missing(w, r)], {r.index: 1.0, w.index: 0.0})
         return {"w": [w], "rate": [abs(slope / by_r)]}
 
     return Kernel.traced(equation, {"along": len(RATES), "vehicle": size}, shared=["vehicle"])

@@ -76,7 +76,7 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
     valid = moving(v_p)
     valid[1:] &= gradual(np.diff(beta), ARRAYS)
     check_feasible(valid, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
-    if any(vehicle.cross_terms):
+    if vehicle.has_cross_terms:
         return
     rate, limit = braking(v_p, v_p_dot, vehicle)
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"

@@ -123,7 +123,7 @@ class Planner:
         self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
-        self._crossed = any(vehicle.cross_terms)
+        self._crossed = vehicle.has_cross_terms
         self._slip_mass = vehicle.coefficients.slip_mass
         self._period = float(times[-1] - times[0]) / (len(times) - 1)
         time_constant = self._slip_mass / vehicle.d22

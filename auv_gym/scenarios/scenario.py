@@ -232,7 +232,7 @@ class Scenario:
             sheared=self.current is not None and self.current.shear != 0,
             reckoned=self.sensors.reckoning is not None,
             lifting=self.vehicle.has_lift,
-            crossed=any(self.vehicle.cross_terms),
+            crossed=self.vehicle.has_cross_terms,
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
             span=self.span,
@@ -259,7 +259,7 @@ class Scenario:
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
             (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
-            (parts.crossed, any(episode.vehicle.cross_terms), "a vehicle with cross terms"),
+            (parts.crossed, episode.vehicle.has_cross_terms, "a vehicle with cross terms"),
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, but scenario {self.name!r} has none; change one of them")

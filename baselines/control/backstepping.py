@@ -111,9 +111,9 @@ def tracking_forces(
     tau_u = -kap * u_e - (gains.cu + gains.ku * kap * kap) * z_u  # (34)
     tau_r = -z_v - psi_e - cr * (g * g + 1) * r_e - (gains.c + gains.kc * cr * cr * g * g) * z_r  # (47)
     u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
-    row = vehicle if isinstance(vehicle, Coefficients) else vehicle.acting
-    if len(row) > len(Coefficients._fields):
-        now, wanted = (rates(0.0 * u, *nu, (0.0, 0.0, 0.0), row, ns) for nu in ((u, v, r), (u_R, v_R, r_R)))
+    if vehicle.has_cross_terms:
+        row, still = vehicle.acting, (0.0, 0.0, 0.0)
+        now, wanted = (rates(0.0 * u, *nu, still, row, ns) for nu in ((u, v, r), (u_R, v_R, r_R)))
         return F_uR + m11 * (tau_u - now[2] + wanted[2]), F_rR + m33 * (tau_r - now[4] + wanted[4])
     return (
         F_uR + vehicle.d11 * u_e - m22 * (v * r - v_R * r_R) + m11 * tau_u,  # (21)

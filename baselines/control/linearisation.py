@@ -48,7 +48,7 @@ def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tupl
             [0.0, 0.0, 0.0, yaw_u / m33, yaw_v / m33, -drag_r / m33],  # (20c)
         ]
     )
-    if any(vehicle.cross_terms):
+    if vehicle.has_cross_terms:
         A[3:, 3:] = _velocity_slopes(vehicle, (u_R, v_R, r_R))
     B = np.zeros((6, 2))
     B[3, 0], B[5, 1] = 1 / m11, 1 / m33

@@ -97,6 +97,7 @@ class ExtendedKalmanFilter:
         calm = rough.copy()
         calm[_SCALED] *= tuning.calm
         self.known = [np.array((*vehicle.all_coefficients, *values))[:, None] for values in (rough, calm)]
+        self._kernel = filter_kernel(self.faults, len(vehicle.all_coefficients))
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes; it must not be changed in place."""
@@ -113,9 +114,9 @@ class ExtendedKalmanFilter:
             The memory, and the rows of an `Estimate`, shape (22, N). If faults are estimated, the rows of `Faults` and
             the last actions, the latest first, follow: shape (`FAULT_FILTER_ROWS`, N).
         """
-        kernel, n = filter_kernel(self.faults, len(self.vehicle.all_coefficients)), o.shape[1]
+        n = o.shape[1]
         rows = [
-            kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
+            self._kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
             for known, before in zip(self.known, memory, strict=True)
         ]
         rough, calm = (Belief.of(after, self.faults) for after in rows)

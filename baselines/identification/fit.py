@@ -135,8 +135,7 @@ class Identified:
         """
         rng, at = np.random.default_rng(seed), [self.model.names.index(name) for name in self.free]
         found: list[Vehicle] = []
-        for _ in range(10 * size):
-            drawn = rng.multivariate_normal(self.values[at], self.covariance, method="eigh")
+        for drawn in rng.multivariate_normal(self.values[at], self.covariance, 10 * size, method="eigh"):
             with suppress(ValueError):
                 found.append(self._made(like, dict(zip(self.free, drawn.tolist(), strict=True))))
             if len(found) == size:

@@ -134,7 +134,7 @@ class SixDofSimulator:
                 f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
             )
         self._model = SIX_DOF_MODELS[vehicle]
-        known = vehicle_model(self._model.name).vehicle
+        known = vehicle_model(vehicle).vehicle
         self._eps, self._side = known.eps, known.eps * known.m22 / known.m33
         size = self._model.size
         rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}

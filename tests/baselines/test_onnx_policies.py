@@ -41,7 +41,7 @@ def model(
     batch="batch",
     names=("observation", "sum", "action", "next_sum"),
     actions=2,
-    **told,
+    **metadata,
 ):
     """Write a model with a memory and return the name of the policy."""
     kind = np.float64 if real == TensorProto.DOUBLE else np.float32
@@ -61,7 +61,7 @@ def model(
         helper.make_graph(nodes, "linear", inputs, outputs, given), opset_imports=[helper.make_opsetid("", 17)]
     )
     made.ir_version = 8
-    helper.set_model_props(made, told)
+    helper.set_model_props(made, metadata)
     onnx.save(made, "model.onnx")
     return "model.onnx"
 
@@ -91,10 +91,10 @@ def test_single_precision():
 
 
 @pytest.mark.parametrize(
-    "told", [{"preview": "10, 20"}, {"observation": "e_x; ahead_10_x; ahead_10_y; ahead_20_x [m]"}]
+    "metadata", [{"preview": "10, 20"}, {"observation": "e_x; ahead_10_x; ahead_10_y; ahead_20_x [m]"}]
 )
-def test_preview(told):
-    policy = make_policy(model(width=22, **told))
+def test_preview(metadata):
+    policy = make_policy(model(width=22, **metadata))
     assert policy.preview == (10, 20)
     scenario = PRESETS["cruise-calm"]
     assert np.isfinite(rollout(policy, scenario, drawn(scenario, 2, 0).episodes).measures.steady_rmse).all()
