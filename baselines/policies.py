@@ -8,9 +8,10 @@ from typing import Any
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy
+from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name, is_path, shipped_agents
+from baselines.agents.names import COMMAND, FADING, agent_folder, checked_name, guarded_name, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.policy import Privileged
 from baselines.similar import made_for
@@ -27,7 +28,8 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
     cannot: a FILE.onnx, and the folder of a trained agent. The name or folder of an agent may end in `FADING`. Every
-    name but a command may end in `GUARD`, which may be followed by "=" and the name of the fallback policy.
+    name but a command may end in `GUARD`, which may be followed by "=" and the name of the fallback policy, and then in
+    `CHECKED`, all of `baselines.agents.names`.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
@@ -41,6 +43,8 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
         OSError: the file cannot be read.
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
+    if (inner := checked_name(name)) is not None:
+        return made_for(vehicle, lambda known: Checked(make_policy(inner, known, **options), known))
     if (parts := guarded_name(name)) is not None:
         guarded, fallback_name = parts
 

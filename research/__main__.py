@@ -12,6 +12,7 @@ COMMANDS = {
     "estimation-bound": Command("research.lower_bounds.estimation.command", "eval"),
     "failure-rate": Command("research.robustness.failure_rate", "eval"),
     "falsification": Command("research.robustness.falsification", "tuning"),
+    "faults": Command("research.robustness.faults", "eval"),
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),
     "guards": Command("research.robustness.guards", "eval"),

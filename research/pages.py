@@ -32,6 +32,7 @@ PAGES: Mapping[str, str] = {
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
     "results/vehicles-v2": "research.results.vehicles",
     "results/learning": "research.results.learning",
+    "results/faults": "research.robustness.faults",
     "safety": "research.robustness.page",
     "transfer": "research.transfer.page",
     "validation": "research.validation.page",

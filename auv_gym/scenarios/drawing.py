@@ -89,8 +89,9 @@ class _Speed(NamedTuple):
 def drawn_as_rows(scenario: Scenario) -> bool:
     """Return whether the episodes of a scenario can be drawn as rows.
 
-    That requires paths that can be stacked, and neither outages nor dead reckoning.
+    That requires paths that can be stacked, and no outages, dead reckoning or faults.
     """
     names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
     alike = all(issubclass(PATHS[name], Family) for name in names)
-    return alike and not scenario.sensors.outages and scenario.sensors.reckoning is None
+    navigation = scenario.sensors.outages or scenario.sensors.reckoning
+    return alike and not navigation and scenario.faults is None

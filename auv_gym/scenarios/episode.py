@@ -11,6 +11,7 @@ import numpy as np
 
 from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.dynamics import State
+from auv_gym.physics.faults import Fault
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
@@ -34,6 +35,7 @@ class Episode:
     reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators saturate
     delay: int = 0  # control periods until a command acts
     outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of each outage of position fixes
+    faults: tuple[Fault, ...] = ()  # of actuators and measurements
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
 
     def initial_state(self, reference: Sequence[float]) -> State:

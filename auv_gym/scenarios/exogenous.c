@@ -197,6 +197,7 @@ void read_samples(long count, long steps, long most, long time, long row, const 
                                        AT(current), steps, AT(measured), steps};
             current_and_noise(of_rest, 0, 1);
             for (long j = 0; j < steps; j++) measured[6 * steps + j] = 1; /* a position fix */
+            memset(measured + 7 * steps, 0, steps * sizeof(double)); /* no fault */
         }
         for (long j = 0; j < steps; j++) /* the reference; its last instant is repeated */
             for (long l = 0; l < tile; l++) {

@@ -20,6 +20,7 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, together
 from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.errors import to_world
+from auv_gym.physics.faults import fault_rows
 from auv_gym.physics.namespaces import AnyArray, Array, Indices, Namespace, Number
 from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.physics.rows import filled, leaves, numbered, spread
@@ -227,6 +228,7 @@ class ExogenousInputs:
         self._states = np.zeros((num_envs, 4), dtype=np.uint64)  # of the generators SFC64
         self._entries = np.tile(np.array(Entry(_address(empty), 1, 0, 0, 0, 0), dtype=np.int64), (num_envs, 1))
         self._fixes: dict[int, Array] = {}  # of the sub-environments with outages or dead reckoning
+        self._faults: dict[int, Array] = {}  # of the sub-environments with faults
         self._headings: dict[int, Array] = {}  # [rad] errors of the sub-environments with a gyro drift
         self._gust, self._weather = np.zeros((num_envs, GUST_ROWS)), np.zeros((num_envs, WEATHER_ROWS))
         self._waves = np.zeros((num_envs, 0, WAVE_ROWS))
@@ -287,6 +289,7 @@ class ExogenousInputs:
             self._tables[index] = np.ascontiguousarray(table, dtype=np.float64)
             self._set_address(index)
             self._fixes.pop(index, None)
+            self._faults.pop(index, None)
             self._headings.pop(index, None)
         waves = wave_components(episodes.waves, dt)
         self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
@@ -300,6 +303,8 @@ class ExogenousInputs:
         self._gust[indices] = 0.0
         if episodes.outages or episodes.reckoning:
             self._load_navigation(int(indices[0]), scenario, episodes, tables[0])
+        if episodes.faults:
+            self._faults[int(indices[0])] = fault_rows(episodes.faults, dt, len(tables[0]))
 
     def _least_speed(self, indices: Indices) -> Any:
         """Return the `least_speed` of the references of sub-environments."""
@@ -344,13 +349,17 @@ class ExogenousInputs:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
             sizes = len(indices), n, self._waves.shape[1], time, row
             code.read_samples(*sizes, _address(indices), _address(columns), *self._arrays, _address(out), code.normal)
-        if self._fixes:
+        if self._fixes or self._faults:
             ends = self._entries[indices, _ENTRY.next].tolist()
             for end, index, column in zip(ends, indices.tolist(), columns.tolist(), strict=True):
                 now = slice(end - n, end)
                 if index in self._fixes:
                     part = self._fixes[index][now]
                     out[: len(part), SAMPLE.fix, column] = part
+                if index in self._faults:
+                    part = self._faults[index][:, now]
+                    out[: part.shape[1], SAMPLE.fault, column] = part[0]
+                    out[: part.shape[1], SAMPLE.n_x : SAMPLE.n_y + 1, column] += part[1:].T
                 if index in self._headings:
                     part = self._headings[index][now]
                     out[: len(part), SAMPLE.n_psi, column] += part
@@ -372,7 +381,7 @@ class ExogenousInputs:
             out[:, REFERENCE, column] = self._tables[index][np.minimum(time, entry.instants - 1)]
             for part, rows in ((CURRENT, rest["current"]), (LOAD, load), (NOISE, rest["measured"])):
                 out[:, part, column] = rows.T
-            out[:, SAMPLE.fix, column] = 1.0
+            out[:, SAMPLE.fix, column], out[:, SAMPLE.fault, column] = 1.0, 0.0
         self._entries[indices, _ENTRY.next] += n
 
 

@@ -75,7 +75,7 @@ class _Fit:
 
     def scenario(self, scenario: Scenario) -> Scenario:
         length, time = self.units.length, self.units.time
-        parts = "path", "start", "sensors", "current", "waves"
+        parts = "path", "start", "sensors", "current", "waves", "faults"
         changes = {name: scaled_part(name, getattr(scenario, name), self.units) for name in parts}
         path: Any = changes["path"]
         if not isinstance(path, Path):
@@ -177,7 +177,7 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
             "give it random paths: a path with speed and turn_rate"
         )
     back = Units(1 / units.length, 1 / units.time, 1 / units.mass)
-    names = "start", "sensors", "current"
+    names = "start", "sensors", "current", "faults"
     changes = {name: scaled_part(name, getattr(scenario, name), back) for name in names}
     waves, mismatch = scaled_part("waves", scenario.waves, back), scenario.mismatch
     if waves is not None:

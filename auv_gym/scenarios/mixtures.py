@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -16,6 +17,8 @@ CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0
 """Weights of the cases with the largest errors and the most failures; the other cases have weight 1."""
 ADVERSE_WEIGHT = 8.0  # weight of the adverse scenario in the mixture of a speed range
 _WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
+LONG_OUTAGE_TIME = (5.0, 35.0)  # [s]
+FAR = {"slow": 5.0, "cruise": 8.0}  # [m] largest distance of a far start on each axis
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] duration of an outage of position fixes
 
 
@@ -54,6 +57,21 @@ def adverse(speed_range: str) -> Scenario:
         actuators=Actuators(
             act.F_u_max, act.F_r_max, lag=(0.0, 0.7), effectiveness=(0.6, 1.0), reach=(0.45, 1.0), delay=(0.0, 3.0)
         ),
+    )
+
+
+def without_fixes(speed_range: str) -> Mixture:
+    """Return storms with long outages of the position fix, and storms that begin far from the path, half of each.
+
+    With the outages alone an agent unlearns to return from far starts.
+    """
+    storm = PRESETS[f"{speed_range}-storm"]
+    sensors = replace(storm.sensors, outages=1.5, outage_time=LONG_OUTAGE_TIME)
+    far = -FAR[speed_range], FAR[speed_range]
+    start = replace(storm.start, x_e=far, y_e=far, psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
+    return (
+        (replace(storm, name=f"{speed_range}-outages", sensors=sensors), 0.5),
+        (replace(storm, name=f"{speed_range}-far", start=start), 0.5),
     )
 
 
@@ -115,6 +133,7 @@ MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **SLEWING,
     **_ADVERSE,
+    **{f"{speed_range}-outages": without_fixes(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
     **{
         f"{speed_range}-adverse": (*speed_range_mixture(speed_range), (adverse(speed_range), ADVERSE_WEIGHT))

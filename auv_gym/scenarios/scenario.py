@@ -15,6 +15,7 @@ import numpy as np
 from auv_gym.physics.actuators import Actuators, Response
 from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.dynamics import Load
+from auv_gym.physics.faults import RandomFaults
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.sensors import Sensors
@@ -95,6 +96,7 @@ _PARTS: dict[str, tuple[type, ...]] = {
     "sensors": (Sensors,),
     "actuators": (Actuators,),
     "start": (Start,),
+    "faults": (RandomFaults, type(None)),
 }
 
 
@@ -111,6 +113,7 @@ class Scenario:
     sensors: Sensors = field(default_factory=Sensors)
     actuators: Actuators = field(default_factory=Actuators)
     start: Start = field(default_factory=Start)
+    faults: RandomFaults | None = None
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
     substeps: int = 1  # Runge-Kutta steps in a control period
@@ -170,10 +173,13 @@ class Scenario:
         if sensors.reckoning:
             reckoning = sensors.reckoning.draw(np.random.default_rng([noise_seed, 2]), duration)
             episode = replace(episode, reckoning=reckoning)
+        if self.faults:
+            faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
+            episode = replace(episode, faults=faults)
         return episode
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
-        """Return the episode of a path, drawn from a uniform stream, without outages and dead reckoning.
+        """Return the episode of a path, drawn from a uniform stream, without outages, dead reckoning and faults.
 
         Args:
             path: path of the episode, or N paths as one, see `stack`.
@@ -235,6 +241,7 @@ class Scenario:
             crossed=self.vehicle.has_cross_terms,
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
+            faulty=self.faults is not None,
             span=self.span,
         )
 
@@ -258,6 +265,7 @@ class Scenario:
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
+            (parts.faulty, episode.faults, "faults"),
             (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
             (parts.crossed, episode.vehicle.has_cross_terms, "a vehicle with cross terms"),
         ):

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 from auv_gym.physics.actuators import Response, known_torque, ordered, respond
 from auv_gym.physics.dynamics import CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body, to_world, tracking_errors
+from auv_gym.physics.faults import executed, with_faults
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
@@ -21,7 +22,7 @@ from auv_gym.task.observation import failed, reward
 
 
 class PlantMemory(NamedTuple):
-    """The memory of sensors and delayed commands; zero if not in use."""
+    """The memory of sensors, delayed commands and faults; zero if not in use."""
 
     x_e: Number  # [m] low-pass filtered tracking errors
     y_e: Number  # [m]
@@ -35,6 +36,12 @@ class PlantMemory(NamedTuple):
     a_r_2: Number
     a_u_3: Number  # action of the control step before a_u_2, a_r_2
     a_r_3: Number
+    c_u: Number  # command that the actuators executed
+    c_r: Number
+    psi: Number  # [rad] last measurements
+    u: Number  # [m/s]
+    v: Number  # [m/s]
+    r: Number  # [rad/s]
 
 
 class Plant(NamedTuple):
@@ -76,6 +83,7 @@ class Sample(NamedTuple):
     n_v: Number  # [m/s]
     n_r: Number  # [rad/s]
     fix: Number  # 1 with a position fix, else 0; with dead reckoning the gain of the fix
+    fault: Number  # code of the fault, see `faults.fault_rows`; 0 without one
 
 
 class Parts(NamedTuple):
@@ -92,6 +100,7 @@ class Parts(NamedTuple):
     crossed: bool = False  # cross terms of the vehicle
     finned: bool = False  # yaw torque of fins, which depends on the speed
     astern: bool = False  # smaller thrust astern than ahead
+    faulty: bool = False  # faults of actuators and measurements
     span: int = 1  # factor of the bounds of an observation, see `observation.bounds`
 
     def joined(self, other: Parts) -> Parts:
@@ -248,6 +257,10 @@ def step(
         command_u, command_r, memory = _delayed((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
     if parts.weak:
         command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
+    if parts.faulty:
+        last = memory.c_u, memory.c_r
+        command_u, command_r = executed((command_u, command_r), last, sample[SAMPLE.fault], ns)
+        memory = memory._replace(c_u=command_u, c_r=command_r)
     state, (F_u, F_r) = move(before, (F_u, F_r), (command_u, command_r), sample, p, ns)
     memory, terms = _observe(state, before, (a_u, a_r), memory, sample, p, ns)
     x, y, *_ = state
@@ -298,7 +311,7 @@ def _observe(
     `before` is the state one control period earlier.
     """
     x, y, psi, u, v, r = state
-    x_R, y_R, psi_R, u_R, v_R, r_R, F_uR, F_rR, V_x, V_y, _, _, _, n_x, n_y, n_psi, n_u, n_v, n_r, fix = sample
+    x_R, y_R, psi_R, u_R, v_R, r_R, F_uR, F_rR, V_x, V_y, _, _, _, n_x, n_y, n_psi, n_u, n_v, n_r, fix, fault = sample
     parts = p.parts
     V_x, V_y = current_at(x, y, (V_x, V_y), p, ns)
     V_u, V_v = to_body(V_x, V_y, ns.cos(psi), ns.sin(psi))
@@ -310,7 +323,11 @@ def _observe(
     elif parts.outages:
         x_m, y_m = ns.where(fix > 0.5, x_m, memory.x), ns.where(fix > 0.5, y_m, memory.y)
         memory = memory._replace(x=x_m, y=y_m)
-    measured = (x_m, y_m, psi_m, u_m + n_u, v_m + n_v, r + n_r)
+    measured: State = (x_m, y_m, psi_m, u_m + n_u, v_m + n_v, r + n_r)
+    if parts.faulty:
+        last = memory.x, memory.y, memory.psi, memory.u, memory.v, memory.r
+        measured = x_m, y_m, psi_m, u_m, v_m, r_m = with_faults(measured, last, fault, ns)
+        memory = memory._replace(x=x_m, y=y_m, psi=psi_m, u=u_m, v=v_m, r=r_m)
     x_e, y_e, psi_e, u_e, v_e, r_e = tracking_errors(measured, (x_R, y_R, psi_R, u_R, v_R, r_R), ns)
     if parts.filtered:
         filtered = (memory.x_e, memory.y_e, memory.psi_e, memory.u_e, memory.v_e, memory.r_e)
@@ -351,7 +368,7 @@ def estimated_position(
         p: the constants of the episode.
         ns: the namespace of the numbers.
     """
-    _, _, _, _, _, _, _, _, _, _, _, _, _, n_x, n_y, n_psi, n_u, n_v, _, fix = sample
+    _, _, _, _, _, _, _, _, _, _, _, _, _, n_x, n_y, n_psi, n_u, n_v, _, fix, _ = sample
     (x, y), (x_0, y_0), dt, rest = position, before, p.h * p.parts.substeps, 1.0 - fix
     dx, dy = to_world(*p.log.measured(x - x_0, y - y_0), ns.cos(n_psi), ns.sin(n_psi))
     noise_x, noise_y = to_world(n_u * dt, n_v * dt, ns.cos(psi_m), ns.sin(psi_m))

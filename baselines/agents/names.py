@@ -13,6 +13,8 @@ FADING = ":fade"
 GUARD = ":guard"
 """Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
 name of the fallback may follow."""
+CHECKED = ":checked"
+"""Suffix of a policy's name, the last one: implausible measurements are replaced, see `baselines.agents.checked`."""
 COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
@@ -39,6 +41,12 @@ def agent_folder(name: str) -> Path | None:
     return next((place for place in places if (place / "agent.json").is_file()), None)
 
 
+def checked_name(name: str) -> str | None:
+    """Return the name of the policy whose measurements are checked, None for a name without `CHECKED`."""
+    bare = name.removesuffix(CHECKED)
+    return bare if bare not in ("", name) and not name.startswith(COMMAND) else None
+
+
 def guarded_name(name: str) -> tuple[str, str] | None:
     """Return the policy's name and that of its fallback, "" for the default one; None for a name without `GUARD`."""
     bare, mark, other = name.rpartition(GUARD)
@@ -48,7 +56,8 @@ def guarded_name(name: str) -> tuple[str, str] | None:
 
 
 def bare_name(name: str) -> str:
-    """Return a policy's name without `GUARD` and `FADING`."""
+    """Return a policy's name without `CHECKED`, `GUARD` and `FADING`."""
+    name = checked_name(name) or name
     parts = guarded_name(name)
     return (parts[0] if parts else name).removesuffix(FADING)
 

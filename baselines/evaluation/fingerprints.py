@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import auv_gym
 from baselines.agents.agent import AGENT_FILE, WEIGHTS
-from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name
+from baselines.agents.names import COMMAND, FADING, agent_folder, checked_name, guarded_name
 from baselines.agents.onnx_models import SUFFIX
 from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
@@ -33,6 +33,7 @@ POLICY_PACKAGES = (
 """Packages and modules with the code of policies; the code that tunes, trains and evaluates them does not count."""
 _AGENT_CODE = "baselines.agents.residual_policy"  # the module that runs trained agents
 _GUARD_CODE = "baselines.agents.guard"  # the module of guards
+_CHECK_CODE = "baselines.agents.checked"  # the module of the check of measurements
 _GUARD_LAW = "backstepping"  # the default fallback of a guard, whose gains its thresholds use
 AGENT_KEYS = ("format", "network", "inputs", "features", "observation", "expert", "authority")
 """Keys of agent.json that affect an agent's actions; with gated corrections `region` affects them too."""
@@ -47,6 +48,7 @@ def fingerprint(name: str) -> str:
     - FILE.py:FACTORY, FILE.zip and FILE.onnx: the file, without the modules that it imports;
     - a program: the words of its command and the files in them, see `files_of`;
     - an agent: its weights, `AGENT_KEYS` of its description, its expert and the code that runs it;
+    - a policy with checked measurements: its fingerprint, and the code of the check;
     - a policy with a guard: the fingerprints of both policies, and the code of the guard;
     - a controller: its options, its gains and the code of its modules.
 
@@ -55,6 +57,9 @@ def fingerprint(name: str) -> str:
     Raises:
         ValueError: a file is larger than `LARGEST_POLICY_FILE`, or a folder has too many files.
     """
+    if (inner := checked_name(name)) is not None:
+        own = fingerprint(inner)
+        return _hash([own, *(module.digest for module in _imported(_CHECK_CODE))]) if own else ""
     if (parts := guarded_name(name)) is not None:
         both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
         return _hash([*both, *(module.digest for module in _imported(_GUARD_CODE))]) if all(both) else ""
@@ -82,7 +87,8 @@ def fingerprint(name: str) -> str:
 def covered_files(name: str) -> str | None:
     """Return a text that lists what the fingerprint of a policy covers; None if it covers everything."""
     parts = []
-    for part in guarded_name(name) or (name,):
+    bare = checked_name(name) or name
+    for part in guarded_name(bare) or (bare,):
         if part.startswith(COMMAND):
             files = [str(file) for file in files_of(shlex.split(part.removeprefix(COMMAND)))]
             more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""

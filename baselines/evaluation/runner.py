@@ -58,8 +58,8 @@ class Cell:
 def _plain(part: Any) -> dict[str, Any]:
     """Return the fields of an episode or a part, without newer fields of default value, which keeps old hashes."""
     record = {f.name: getattr(part, f.name) for f in fields(part)}
-    if isinstance(part, Episode) and part.reckoning is None:
-        del record["reckoning"]
+    if isinstance(part, Episode):
+        record = {name: x for name, x in record.items() if name not in ("reckoning", "faults") or x}
     if isinstance(part, Vehicle):
         later = "speed", *CrossTerms._fields
         record = {name: x for name, x in record.items() if name not in later or x != getattr(Vehicle, name)}

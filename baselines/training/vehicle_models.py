@@ -19,8 +19,9 @@ from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.paths import Path
 from auv_gym.scenarios.fitting import adapted
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.scenario import ATTEMPTS, RandomPath, Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 
 SUBSTEPS = 2
@@ -29,6 +30,7 @@ SEVERAL = 16
 """Number of drawn models of a sub-environment; its episodes cycle through them."""
 TRIALS = 8  # paths on which a model is tested
 ENOUGH = 6  # number of them that it must be able to follow
+PATHS = 6  # number of fixed paths of a sub-environment whose vehicle has cross terms
 DECADES = {
     "d11": (7.0, 450.0),  # [kg/s] surge drag over speed at the design speed, including quadratic drag
     "d22": (1.8, 900.0),  # [kg/s]
@@ -74,12 +76,36 @@ def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[
     ]
 
 
+def with_fixed_paths(scenarios: Sequence[Scenario], seed: int) -> list[list[Scenario]]:
+    """Return for each sub-environment its scenario, or `PATHS` scenarios with fixed paths if there are cross terms.
+
+    The plan of a path with cross terms takes as long as some hundred control steps, so each path is used several times.
+
+    Args:
+        scenarios: of one vehicle, one for each sub-environment.
+        seed: of the paths.
+
+    Raises:
+        ValueError: the vehicle can follow none of `ATTEMPTS` paths of a scenario.
+    """
+    rng = np.random.default_rng([seed, len(scenarios)])
+    return [_on_fixed_paths(s, rng) if s.vehicle.has_cross_terms else [s] for s in scenarios]
+
+
+def _on_fixed_paths(scenario: Scenario, rng: np.random.Generator) -> list[Scenario]:
+    if not isinstance(scenario.path, RandomPath):
+        return [scenario]
+    if not (paths := _followed(scenario, rng, ATTEMPTS, PATHS)):
+        raise ValueError(f"the vehicle of scenario {scenario.name!r} can follow none of {ATTEMPTS} paths; use others")
+    return [replace(scenario, path=path) for path in paths]
+
+
 def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     """Return a scenario of the paper's vehicle, adapted to a drawn vehicle that can follow its paths."""
     while True:
         with suppress(ValueError):  # the vehicle, its scenario or its plan is impossible
             other = adapted(_drawn(rng), scenario)
-            if other.substeps == scenario.substeps and _followed(other, rng):
+            if other.substeps == scenario.substeps and len(_followed(other, rng, TRIALS)) >= ENOUGH:
                 return other
 
 
@@ -117,11 +143,14 @@ def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     return mistake.draw(rng.uniform, vehicle)
 
 
-def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:
-    """Return whether the vehicle of a scenario can follow at least `ENOUGH` of `TRIALS` paths."""
-    done = 0
-    for _ in range(TRIALS):
+def _followed(scenario: Scenario, rng: np.random.Generator, trials: int, most: int | None = None) -> list[Path]:
+    """Return those of some random paths that the vehicle of a scenario can follow; `most`: only the first ones."""
+    found: list[Path] = []
+    for _ in range(trials):
         with suppress(ValueError):
-            reference_tables([scenario.draw(rng)], *plan_of(scenario))
-            done += 1
-    return done >= ENOUGH
+            episode = scenario.draw(rng)
+            reference_tables([episode], *plan_of(scenario))
+            found.append(episode.path)
+        if len(found) == most:
+            break
+    return found

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.faults import FAULTS, RandomFaults
 from auv_gym.physics.intervals import Interval
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Path, Spline
@@ -38,6 +39,7 @@ UNMODELLED_EPISODES = 30  # episodes of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
 DEEP_EPISODES = 60  # episodes in a cell of deep-v1
 FIRST_VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
+FAULT_EPISODES = 40  # episodes in a cell of faults-v1
 VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v2
 STRONGER = 1.5  # factor on current and waves in ood-v1
 FARTHER = 1.3  # factor on the ranges of the mismatch about 1 in ood-v1
@@ -52,6 +54,9 @@ _OUTAGES = 4.0  # [1/min] rate of outages of the position fix
 _OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] duration of an outage of the position fix
 SHEAR = (0.1, 0.25)  # amplitude of a sheared current as a share of the path's speed
 _WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
+FAULT_RATE = 2.0  # [1/min] of faults
+LONG_OUTAGES = 1.5  # [1/min] rate of long outages of the position fix
+LONG_OUTAGE_TIME = (25.0, 35.0)  # [s]
 _TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] turn rate of a turning current
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
@@ -132,6 +137,24 @@ def _sealed(**changes: Any) -> list[Recipe]:
         Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if mission else Recipe.path)
         for scenario, mission in sealed.sealed_worlds(**changes)
     ]
+
+
+def _faults() -> list[Recipe]:
+    """Return storms with each kind of fault, long outages of the position fix, and very slow actuators."""
+    recipes = []
+    for speed_range in SPEED_RANGES:
+        storm = PRESETS[f"{speed_range}-storm"]
+        changes: dict[str, dict[str, Any]] = {
+            kind.replace(" ", "-"): {"faults": RandomFaults((kind,), rate=FAULT_RATE)} for kind in FAULTS
+        }
+        blind = replace(storm.sensors, outages=LONG_OUTAGES, outage_time=LONG_OUTAGE_TIME)
+        changes["long-outages"] = {"sensors": blind}
+        changes["lag-1-s"] = {"actuators": replace(storm.actuators, lag=(0.8, 1.2))}
+        recipes += [
+            Recipe(replace(storm, name=f"{speed_range}-{name}", **change), episodes=FAULT_EPISODES)
+            for name, change in changes.items()
+        ]
+    return recipes
 
 
 def _deep() -> list[Recipe]:
@@ -218,6 +241,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "deep-v1": (1_000_005, _deep),
     "vehicles-v1": (1_000_006, lambda: _vehicles(FIRST_VEHICLE_EPISODES, FilePath(__file__).parent / "vehicles_v1")),
     "vehicles-v2": (1_000_007, lambda: _vehicles(VEHICLE_EPISODES)),
+    "faults-v1": (1_000_008, _faults),
     **{name: (None, partial(_sealed, **changes)) for name, changes in sealed.WORLDS.items()},
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training

@@ -36,7 +36,7 @@ CONSTANTS = (
         parts=Parts(),
     )
 )
-STILL = Sample(*(0.0,) * 19, fix=1.0)
+STILL = Sample(*(0.0,) * 19, fix=1.0, fault=0.0)
 
 
 def first_plant(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):

@@ -34,7 +34,6 @@ from baselines.training.hyperparameters import FINE_TUNING_FILE_NAME, TRAINED_EN
 from baselines.training.options import PROGRAM
 from baselines.training.run_folder import RunFolder, read_config, read_progress
 from research.trainings import fine_tuning
-from research.trainings.trainings import SHIPPED_TRAININGS
 
 torch.set_num_threads(1)
 SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
@@ -254,76 +253,50 @@ def test_documented_commands_run(page, call, monkeypatch):
 def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
     """A quick form of the command, whose agents have learned nothing."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(fine_tuning, "CASES", ("calm", "noise"))
+    monkeypatch.setattr(fine_tuning, "_DISTURBED", ("waves", "noise"))
     words = ["--vehicle", "otter", "--episodes", "2", "--out", "new.json", "--policy", "backstepping", "helm"]
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     record = json.loads(Path("new.json").read_text(encoding="utf-8"))
     own = record["vehicles"]["otter"]
-    assert [len(own["helm"][name]) for name in ("steady_rmses", "failed")] == [2, 2]
-    own["alone"] = {"steady_rmses": [[2 * x for x in case] for case in own["helm"]["steady_rmses"]], "failed": [0, 0]}
-    assert fine_tuning.error_ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
-    assert "the original agent | " in fine_tuning.fine_tuning_table(record)
-    assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.fine_tuning_table(record)
-    assert fine_tuning.tuned_table(record) == ""
-    own["tuned"] = {
-        "steady_rmses": [own["helm"]["steady_rmses"][0], [5 * x for x in own["helm"]["steady_rmses"][1]]],
-        "failed": [0, 0],
-    }
-    own["nmpc"] = {"steady_rmses": [[4 * x for x in case] for case in own["tuned"]["steady_rmses"]], "failed": [0, 0]}
-    ratios = "2.24 (2.24 ... 2.24) | 0.25 (0.25 ... 0.25)"
-    assert f"| `otter` | {ratios} | beyond | beyond |" in fine_tuning.tuned_table({**record, "agent": "helm"})
+    assert [len(case) for case in own["helm"]["steady_rmses"]] == [2, 2]
+    for name, factor, rate in (("nmpc", 0.5, 4.0), ("tuned", 0.4, 1.0)):
+        errors = [[factor * x for x in case] for case in own["helm"]["steady_rmses"]]
+        own[name] = {"steady_rmses": errors, "failed": 1, "command_rate": rate}
+    assert fine_tuning.ratio(own, "tuned", "helm") == (pytest.approx(0.4), pytest.approx((0.4, 0.4)))
+    own["nmpc"]["seconds"], own["tuned"]["seconds"] = 7.0, 61.4
+    best = fine_tuning.best_controller(own)
+    assert best == min(("nmpc", "backstepping"), key=lambda name: fine_tuning.ratio(own, name, "helm")[0])
+    shown = fine_tuning._row("otter", {**own, "backstepping": own["helm"]}, "helm")
+    assert shown[:2] == ["`otter`", "`nmpc`"]
+    assert shown[2:5] == ["2.00 (2.00 ... 2.00)", "0.80 (0.80 ... 0.80)", "0.40 (0.40 ... 0.40)"]
+    assert shown[5:] == [f"1, {own['helm']['failed']}, 1", "0.25", "61"]
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there
 
 
-def test_rows_of_an_agent_with_other_weights_are_ignored(tmp_path, monkeypatch):
-    rows = {name: {"steady_rmses": [[1.0]], "failed": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
+def test_rows_of_an_agent_with_other_weights_are_ignored(tmp_path):
+    rows = {name: {"steady_rmses": [[1.0]], "failed": 0} for name in ("helm", "backstepping", "tuned")}
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
     record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
     options.out.write_text(json.dumps(record), encoding="utf-8")
     assert fine_tuning.still_valid(options, "old") == record
     found = fine_tuning.still_valid(options, "new")
     assert found["weights"] == "new"
-    assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
-    for name in ("alone", "tuned"):
-        rows[name]["set"] = ["another"]
-        options.out.write_text(json.dumps(record), encoding="utf-8")
-        assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
-        rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
+    assert set(found["vehicles"]["otter"]) == {"backstepping"}
+    rows["tuned"]["set"] = ["another"]
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == {"helm", "backstepping"}
+    rows["tuned"]["set"] = fine_tuning.recipe()
     options.out.write_text(json.dumps(record), encoding="utf-8")
     assert fine_tuning.still_valid(options, "old") == record
-    with monkeypatch.context() as changed:
-        changed.setattr(fine_tuning, "LENGTH", 2 * fine_tuning.LENGTH)
-        assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == set(rows) - {"alone"}
     tried = fine_tuning.still_valid(replace(options, timesteps=40), "old")
     assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
     assert fine_tuning.still_valid(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
 def test_the_page_shows_the_shipped_agent():
-    """And it is tuned, and others are trained alone, as the hyper-parameters say."""
+    """And it is tuned as the hyper-parameters say."""
     kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
-    for vehicle, found in kept["vehicles"].items():
-        for name in ("tuned", "alone"):
-            assert found[name]["set"] == fine_tuning.recipe(name, kept["agent"], vehicle), name
+    assert {tuple(found["tuned"]["set"]) for found in kept["vehicles"].values()} == {tuple(fine_tuning.recipe())}
     assert kept["weights"] == fine_tuning.shipped_digest(kept["agent"]), "run python -m research fine-tuning"
-
-
-def _named(words):
-    return dict(word.split("=") for word in words)
-
-
-def test_the_two_trainings_differ_in_the_initial_agent():
-    own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED_TRAININGS["helm"].set)
-    assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
-    assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
-    assert own["alone"].timesteps == fine_tuning.LENGTH
-    assert _named(own["alone"].set) == {**helms, "groups": "1", "validations": str(fine_tuning.PIECES)}
-    any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
-    assert any_hull.timesteps == fine_tuning.LENGTH
-    made, anys = _named(any_hull.set), _named(SHIPPED_TRAININGS["helm-any"].set)
-    assert {name: made[name] for name in fine_tuning.SHARED} == {name: anys[name] for name in fine_tuning.SHARED}
-    rates = [name for name in helms if name.endswith(("rate", "weight", "size"))]
-    assert len(rates) > 4
-    assert {name: made[name] for name in rates} == {name: helms[name] for name in rates}

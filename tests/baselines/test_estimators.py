@@ -137,7 +137,9 @@ def test_filter_estimates_lag_and_load():
         thrust_u=F_u_max,
         thrust_r=F_r_max,
     )
-    sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6), [1.0]))[:, None] * np.ones(n) for row in reference]
+    sample = [
+        np.concatenate((row, (0.0, 0.0), load, np.zeros(6), [1.0, 0.0]))[:, None] * np.ones(n) for row in reference
+    ]
     plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
     estimator = ExtendedKalmanFilter(PAPER_VEHICLE, tuning_of(load_gains("ekf", "cruise", EKF_GAINS)))
     o = Observation(*terms)

@@ -11,6 +11,7 @@ from auv_gym.physics.namespaces import ARRAYS, tensors
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios import vehicles as vehicle_names
+from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
@@ -208,3 +209,14 @@ def test_torch_bounds_by_a_number_and_a_tensor():
     for bounds in ((low, 1.0), (low, torch.ones(3)), (-0.5, 1.0)):
         expected = np.clip(x.numpy(), np.asarray(bounds[0]), np.asarray(bounds[1]))
         assert tensors().clip(x, *bounds).tolist() == expected.tolist()
+
+
+def test_a_vehicle_with_cross_terms_is_trained_on_fixed_paths():
+    """Since the plan of a path takes as long as many control steps."""
+    scenarios = [changed(PRESETS[name], vehicle) for name, vehicle in (("cruise-noise", "lauv"), ("slow-calm", None))]
+    crossed, plain = vehicle_models.with_fixed_paths(scenarios, 0)
+    assert plain == [scenarios[1]]
+    assert len({id(s.path) for s in crossed}) == len(crossed) == vehicle_models.PATHS
+    assert all(replace(s, path=scenarios[0].path) == scenarios[0] for s in crossed)
+    assert vehicle_models.with_fixed_paths(scenarios, 0)[0] == crossed
+    assert vehicle_models.with_fixed_paths(crossed[:1], 0) == [crossed[:1]]

@@ -88,8 +88,11 @@ def test_the_first_suite_has_the_scenarios_of_its_opening():
 
 
 def test_every_scenario_is_outside_the_training_distributions():
-    """By its speed, duration, slew time, outages, start or vehicle."""
-    trained = [scenario for mixture in MIXTURES.values() for scenario, _ in mixture]
+    """By its speed, duration, slew time, outages, start or vehicle.
+
+    `helm-any` alone was trained on long outages and far starts, see docs/suites.md.
+    """
+    trained = [s for name, mixture in MIXTURES.items() if not name.endswith("-outages") for s, _ in mixture]
     speeds = [s.path.speed for s in trained]
     assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.MASS_SHARES[0] for s in trained)
     for scenario, _ in sealed.sealed_worlds():

@@ -19,7 +19,7 @@ from auv_gym.physics.rows import filled, leaves
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import PLANT, Parameters, step
+from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Plant, step
 from baselines.policy import Memory
 
 BODY = 8  # number of the first entries of a `Plant`, state and actuators' forces
@@ -66,7 +66,10 @@ class Truth:
             k: the control step of each episode, shape (N,).
         """
         zero, (last, second, third) = np.zeros(len(k)), sent
-        plant = filled(PLANT, (*state, *force, *last, *(zero,) * 8, *second, *third))  # states of sensors do not matter
+        empty = filled(PLANT.memory, (zero,) * PLANT_ROWS)  # states of sensors do not matter
+        (a_u_2, a_r_2), (a_u_3, a_r_3) = second, third
+        memory = empty._replace(a_u_2=a_u_2, a_r_2=a_r_2, a_u_3=a_u_3, a_r_3=a_r_3)
+        plant = Plant._make((*state, *force, *last, memory))
         after = np.stack(plant[:BODY])
         for j in range(int(self.parameters.delay.max())):
             sample = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T

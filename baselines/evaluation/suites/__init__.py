@@ -25,6 +25,7 @@ import numpy as np
 
 from auv_gym.installation import checkout, found, left_out
 from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.physics.faults import Fault
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import PATHS
@@ -227,6 +228,7 @@ def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
         "vehicle": lambda value: value if isinstance(value, Vehicle) else from_record(Vehicle, value, "vehicle"),
         "current": lambda value: from_record(Current, value, "current"),
         "waves": lambda value: None if value is None else from_record(Waves, value, "waves"),
+        "faults": lambda value: tuple(Fault(kind, begin, end, tuple(jump)) for kind, begin, end, jump in value),
     }
     return from_record(Episode, values, "episode", special)
 

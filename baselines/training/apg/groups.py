@@ -27,7 +27,7 @@ from baselines.training.apg.torch_network import put, torch_network
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import Objective, Window
 from baselines.training.config import Config
-from baselines.training.vehicle_models import variants_of, with_model_error
+from baselines.training.vehicle_models import variants_of, with_fixed_paths, with_model_error
 
 
 class WindowGradient(NamedTuple):
@@ -43,22 +43,27 @@ class Members:
     """The vehicles of a group."""
 
     scenarios: Sequence[Scenario]  # one for each
-    variants: Sequence[Sequence[Scenario]]  # scenarios of the episodes of each, see `variants_of`; empty: its only one
+    variants: Sequence[Sequence[Scenario]]  # scenarios of the episodes of each, see `variants_of`
     objective: Objective  # with shares in the mean over the vehicles of all groups
     seed: int  # of their episodes
+    misinformed: bool = False  # whether the nominal models have errors, see `with_model_error`
 
 
 def divided(config: Config, settings: Settings) -> list[Members]:
     """Return the groups of a training, with the scenarios distributed as evenly as possible."""
     scenarios = config.env_scenarios(settings.n_envs)
     draws = settings.draws_vehicles(config.vehicle)
-    variants = variants_of(scenarios, settings.hulls, config.episode_seed) if draws else []
-    objective = settings.objective([scenario.name for scenario in scenarios], [len(own) > 1 for own in variants])
-    group, seed, groups = np.arange(len(scenarios)) // PAIR % settings.groups, config.episode_seed, list[Members]()
+    seed = config.episode_seed
+    variants = variants_of(scenarios, settings.hulls, seed) if draws else with_fixed_paths(scenarios, seed)
+    objective = settings.objective(
+        [scenario.name for scenario in scenarios], [draws and len(own) > 1 for own in variants]
+    )
+    group, groups = np.arange(len(scenarios)) // PAIR % settings.groups, list[Members]()
     for k in range(settings.groups):
         mine = (group == k).nonzero()[0]
-        own = [variants[i] for i in mine] if variants else []
-        groups.append(Members([scenarios[i] for i in mine], own, objective.of(mine), seed))
+        groups.append(
+            Members([scenarios[i] for i in mine], [variants[i] for i in mine], objective.of(mine), seed, draws)
+        )
         seed += len(mine)
     return groups
 
@@ -75,7 +80,7 @@ class VehicleGroup:
     def __init__(self, config: Config, settings: Settings, members: Members) -> None:
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
-        known = with_model_error if members.variants else None
+        known = with_model_error if members.misinformed else None
         self.vehicles = TrainingVehicles(
             members.scenarios, members.seed, settings.n_steps, preview, members.variants, known
         )
@@ -83,7 +88,7 @@ class VehicleGroup:
         self._memory: Memory | None = None  # of an expert that is not in the kernels
         self._network = torch_network(settings.network)
         law, self._exact = law_of(self._expert)
-        informed = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
+        informed = self._expert if members.misinformed and isinstance(self._expert, Backstepping) else None
         kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.vehicles.parts, informed), self._exact)
         self._part = len(members.scenarios) / settings.n_envs
         sizes = len(members.scenarios), settings.n_steps

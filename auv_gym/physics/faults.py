@@ -1,0 +1,111 @@
+"""Faults of actuators and measurements that begin and end within an episode; at most one acts at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from auv_gym.physics.dynamics import Force, State
+from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
+from auv_gym.physics.namespaces import Array, Namespace, Number
+
+FAULTS = (
+    "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way",
+    "all frozen", "heading frozen", "velocity frozen", "yaw rate frozen", "velocity missing", "position jump",
+)  # fmt: skip
+"""Kinds of faults. A stuck actuator repeats its last command, a dead one gives no force, one that works one way gives
+no force astern or no torque to port. A frozen measurement keeps its last value; missing velocities u, v read zero. A
+jump adds a constant error to the measured position."""
+_CODE = {name: float(code) for code, name in enumerate(FAULTS, 1)}
+
+
+class Fault(NamedTuple):
+    """A fault of an episode."""
+
+    kind: str  # one of `FAULTS`
+    begin: float  # [s]
+    end: float  # [s]
+    jump: tuple[float, float] = (0.0, 0.0)  # x, y [m] of a position jump
+
+
+@dataclass(frozen=True)
+class RandomFaults:
+    """Faults at random times; the kind of each is one of `kinds` with equal probability.
+
+    Raises:
+        ValueError: a kind is unknown or there is none, or a number is out of range.
+    """
+
+    kinds: tuple[str, ...]
+    rate: float = 2.0  # [1/min] mean rate
+    time: Interval = (3.0, 10.0)  # [s] duration of a fault
+    jump: Interval = (1.0, 3.0)  # [m] size of a position jump
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kinds, tuple) or not self.kinds or not set(self.kinds) <= set(FAULTS):
+            raise ValueError(f"faults kinds is {self.kinds!r}; it must be a tuple of some of: {', '.join(FAULTS)}")
+        check_number("faults rate", self.rate, 0, 60)
+        check_interval("faults time", self.time, 0, 1e4)
+        check_interval("faults jump", self.jump, 0, 1e4)
+
+    def draw(self, rng: np.random.Generator, duration: float) -> tuple[Fault, ...]:
+        """Return the faults of an episode of a duration [s], ordered by their begin."""
+        count = int(rng.poisson(self.rate * duration / 60))
+        found = []
+        for begin in np.sort(rng.uniform(0.0, duration, count)).tolist():
+            kind, angle = self.kinds[rng.integers(len(self.kinds))], rng.uniform(0.0, 2 * np.pi)
+            size = draw(self.jump, rng.random) if kind == "position jump" else 0.0
+            x, y = float(size * np.cos(angle)), float(size * np.sin(angle))
+            found.append(Fault(kind, begin, begin + draw(self.time, rng.random), (x, y)))
+        return tuple(found)
+
+
+def fault_rows(faults: Sequence[Fault], dt: float, instants: int) -> Array:
+    """Return the code of the fault and the jump x, y [m] at each control instant, shape (3, instants).
+
+    The code is 0 without a fault, and at the first instant. A fault ends when the next one begins.
+    """
+    times, rows = dt * np.arange(instants, dtype=np.float64), np.zeros((3, instants))
+    for fault in faults:
+        rows[:, times >= fault.begin] = 0.0
+        during = (times >= fault.begin) & (times < fault.end)
+        rows[:, during] = np.array([_CODE[fault.kind], *fault.jump])[:, None]
+    rows[:, 0] = 0.0
+    return rows
+
+
+def executed(command: Force, last: Force, fault: Number, ns: Namespace) -> Force:
+    """Return the command that the actuators execute.
+
+    Args:
+        command: of surge and yaw, as fractions of the limits.
+        last: the command that they executed in the previous control period.
+        fault: the code of the fault.
+        ns: the namespace of the numbers.
+    """
+
+    def one(name: str, now: Number, before: Number) -> Number:
+        stuck, dead, one_way = (_is(fault, f"{name} {how}") for how in ("stuck", "dead", "one way"))
+        return ns.where(stuck, before, ns.where(dead, 0.0 * now, ns.where(one_way, ns.clip(now, 0.0, 1.0), now)))
+
+    return one("surge", command[0], last[0]), one("yaw", command[1], last[1])
+
+
+def with_faults(measured: State, last: State, fault: Number, ns: Namespace) -> State:
+    """Return the measurements x, y, psi, u, v, r with a fault; `last` are those of the previous control instant."""
+    frozen = _is(fault, "all frozen")
+    heading, velocity, yaw_rate = (
+        frozen | _is(fault, f"{name} frozen") for name in ("heading", "velocity", "yaw rate")
+    )
+    missing = _is(fault, "velocity missing")
+    held = frozen, frozen, heading, velocity, velocity, yaw_rate
+    x, y, psi, u, v, r = (ns.where(*sides) for sides in zip(held, last, measured, strict=True))
+    return x, y, psi, ns.where(missing, 0.0 * u, u), ns.where(missing, 0.0 * v, v), r
+
+
+def _is(fault: Number, kind: str) -> Number:
+    """Return whether a code is that of a kind."""
+    return abs(fault - _CODE[kind]) < 0.5

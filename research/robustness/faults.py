@@ -1,0 +1,114 @@
+"""Failures and errors with faults of actuators and measurements, with and without a check: `python -m research faults`.
+
+The episodes are those of the suite faults-v1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import arg
+
+from baselines.agents.names import CHECKED, GUARD
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.progress import run_and_show
+from baselines.evaluation.request import checked_policies
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import cap_of, capped, count_failures
+from baselines.evaluation.suites import load_suite
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.workers import DEFAULT_JOBS, Workers
+from research import DATA
+from research.pages import table
+
+PROGRAM = "python -m research faults"
+SUITE = "faults-v1"
+FAULTS_FILE = DATA / "faults.json"  # record of the results
+POLICIES = ("backstepping", "nmpc", "nmpc-adverse", "helm", f"helm{GUARD}=nmpc-adverse", "helm-any")
+"""The policies of the page, without and with the check."""
+_FINGERPRINT = "fingerprint"  # key of a policy's record
+_MENDED = ("heading-frozen", "velocity-frozen", "yaw-rate-frozen", "velocity-missing")
+"""The faults of which the page says how many failures are left."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Run policies with faults of actuators and measurements, without and with a check of the measurements.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = POLICIES
+    """Names of policies."""
+    episodes: int = 10_000
+    """Largest number of episodes of each cell, the first ones."""
+    jobs: int = DEFAULT_JOBS
+    """Number of parallel processes."""
+    out: Path = FAULTS_FILE
+    """File to which the results are added."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the policies, record the results, and return the exit status.
+
+    Raises:
+        UsageError: the arguments are invalid.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if options.episodes < 1:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
+    cells = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in load_suite(SUITE).cells]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    for policy in checked_policies([name + end for name in options.policy for end in ("", CHECKED)]):
+        runs = run_and_show([(policy, cell) for cell in cells], Workers(options.jobs))
+        rows: dict[str, Any] = {run.scenario.name: _row(run) for run in runs}
+        record = read_json(options.out) if options.out.exists() else {}
+        record[policy] = {_FINGERPRINT: fingerprint(policy), **rows}
+        write_atomically(options.out, json_text(record))
+    return DONE
+
+
+def _row(run: Any) -> dict[str, float]:
+    """Return the number of episodes and failures of a run, and the mean capped error [mm]."""
+    if run.measures is None:
+        raise UsageError(f"{run.policy} in {run.scenario.name}: {run.error}")
+    cap = cap_of(run.scenario)
+    error = 1e3 * float(capped(run.measures, cap).mean())
+    return {"episodes": len(run.measures), "failed": count_failures(run.measures, cap), "error_mm": round(error, 2)}
+
+
+def context(_: str = "") -> dict[str, Any]:
+    """Return the values of the template of the page."""
+    record = read_json(FAULTS_FILE)
+    policies = [name for name in POLICIES if name in record]
+    cells = [name for name in record[policies[0]] if name != _FINGERPRINT]
+    tables = []
+    for speed_range in dict.fromkeys(name.partition("-")[0] for name in cells):
+        own = [name for name in cells if name.startswith(speed_range)]
+        heads = ["fault", *(f"`{policy}`" for policy in policies)]
+        rows = [
+            [name.partition("-")[2].replace("-", " "), *(_cell(record, p, [name]) for p in policies)] for name in own
+        ]
+        rows.append(["all", *(_cell(record, policy, own) for policy in policies)])
+        tables.append((speed_range, table(heads, rows)))
+    mended = [cell for cell in cells if cell.partition("-")[2] in _MENDED]
+    failures = [
+        sum(record[policy + end][cell]["failed"] for policy in policies for cell in mended) for end in ("", CHECKED)
+    ]
+    episodes = record[policies[0]][cells[0]]["episodes"]
+    total = episodes * len(mended) * len(policies)
+    return {"tables": tables, "episodes": episodes, "cells": len(cells), "failures": failures, "total": total}
+
+
+def _cell(record: Any, policy: str, names: Sequence[str]) -> str:
+    """Return failures and mean error [cm] in some cells, without and with the check; once if it changes nothing."""
+    sides = []
+    for name in (policy, policy + CHECKED):
+        rows = [record[name][cell] for cell in names]
+        error = sum(row["error_mm"] for row in rows) / len(rows) / 10
+        sides.append(f"{sum(row['failed'] for row in rows)}; {error:.3g}")
+    return " -> ".join(dict.fromkeys(sides))

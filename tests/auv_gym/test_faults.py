@@ -1,0 +1,148 @@
+"""Faults of actuators and measurements: their draws, and their effect on the simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.faults import FAULTS, Fault, RandomFaults, fault_rows
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
+
+STORM = PRESETS["cruise-storm"]
+BEGIN, END = 20, 40  # control steps
+CALM = replace(PRESETS["cruise-calm"], faults=RandomFaults(("yaw dead",)))
+
+
+def run(scenario, *faults, steps=60, seed=3):
+    """Return the observations and the actuator forces of an episode with given faults, steered by fixed commands."""
+    env = UnderactuatedAUVTrackEnv(scenario)
+    episode = scenario.draw(np.random.default_rng(seed))
+    observation, _ = env.reset(seed=0, options={"episode": replace(episode, faults=faults)})
+    seen, forces, rng = [observation], [], np.random.default_rng(0)
+    for _ in range(steps):
+        observation, *_ = env.step(rng.uniform(-0.5, 0.5, 2).astype(np.float32))
+        seen.append(observation)
+        forces.append(env.unwrapped.force)
+    return decode_observation(np.array(seen)), np.array(forces)
+
+
+def fault(kind, jump=(0.0, 0.0)):
+    return Fault(kind, 0.1 * BEGIN - 0.05, 0.1 * END - 0.05, jump)
+
+
+def measurements(o):
+    psi = np.unwrap(np.arctan2(o.sin_psi, o.cos_psi))
+    x_e, y_e = o.e_x * o.cos_psi - o.e_y * o.sin_psi, o.e_x * o.sin_psi + o.e_y * o.cos_psi
+    return np.array([x_e, y_e, psi, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e])
+
+
+@pytest.mark.parametrize(("kind", "row"), [("surge", 0), ("yaw", 1)])
+@pytest.mark.parametrize("how", ["stuck", "dead", "one way"])
+def test_an_actuator_fails_only_during_its_fault(kind, row, how):
+    _, whole = run(CALM)
+    _, forces = run(CALM, fault(f"{kind} {how}"))
+    during = slice(BEGIN - 1, END - 1)  # the force of step k acts in the period that ends at instant k + 1
+    np.testing.assert_allclose(forces[: BEGIN - 1], whole[: BEGIN - 1], rtol=1e-12)
+    np.testing.assert_allclose(forces[END - 1 :], whole[END - 1 :], rtol=1e-12)  # the actuators have no lag
+    np.testing.assert_allclose(forces[during, 1 - row], whole[during, 1 - row], rtol=1e-12)
+    expected = {
+        "stuck": np.full(END - BEGIN, whole[BEGIN - 2, row]),
+        "dead": np.zeros(END - BEGIN),
+        "one way": np.maximum(whole[during, row], 0.0),
+    }
+    np.testing.assert_allclose(forces[during, row], expected[how], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows"),
+    [("all frozen", [2, 3, 4, 5]), ("heading frozen", [2]), ("velocity frozen", [3, 4]), ("yaw rate frozen", [5])],
+)
+def test_a_frozen_measurement_keeps_its_last_value(kind, rows):
+    scenario = replace(STORM, faults=RandomFaults((kind,)))
+    whole, seen = (measurements(run(scenario, *faults)[0]) for faults in ((), (fault(kind),)))
+    np.testing.assert_allclose(
+        seen[rows, BEGIN:END], np.repeat(seen[rows, BEGIN - 1 : BEGIN], END - BEGIN, axis=1), atol=1e-6
+    )
+    others = [k for k in range(2, 6) if k not in rows]
+    np.testing.assert_allclose(seen[others], whole[others], atol=1e-5)
+    np.testing.assert_allclose(seen[rows, END:], whole[rows, END:], atol=1e-5)
+    if kind == "all frozen":  # the measured position stays, so the error changes as the reference moves
+        assert np.hypot(*np.diff(seen[:2, BEGIN:END], axis=1)).min() > 0.0
+
+
+def test_missing_velocities_read_zero():
+    o, _ = run(replace(STORM, faults=RandomFaults(("velocity missing",))), fault("velocity missing"))
+    u, v = measurements(o)[3:5, BEGIN:END]
+    np.testing.assert_allclose((u, v), 0.0, atol=1e-6)
+
+
+def test_a_jump_moves_the_measured_position():
+    scenario = replace(STORM, faults=RandomFaults(("position jump",)))
+    whole, seen = (measurements(run(scenario, *f)[0]) for f in ((), (fault("position jump", (2.0, -1.0)),)))
+    moved = (seen - whole)[:2]
+    np.testing.assert_allclose(moved[:, BEGIN:END], np.array([[2.0], [-1.0]]) * np.ones(END - BEGIN), atol=1e-5)
+    np.testing.assert_allclose(np.delete(moved, np.s_[BEGIN:END], axis=1), 0.0, atol=1e-5)
+
+
+def test_random_faults_have_their_rate_times_and_kinds():
+    random, rng = RandomFaults(FAULTS, rate=3.0, time=(2.0, 5.0), jump=(1.0, 2.0)), np.random.default_rng(0)
+    drawn = [random.draw(rng, 60.0) for _ in range(400)]
+    assert np.mean([len(faults) for faults in drawn]) == pytest.approx(3.0, abs=0.3)
+    every = [f for faults in drawn for f in faults]
+    assert {f.kind for f in every} == set(FAULTS)
+    for f in every:
+        assert 2.0 <= f.end - f.begin <= 5.0
+        low, high = (1.0, 2.0) if f.kind == "position jump" else (0.0, 0.0)
+        assert low <= np.hypot(*f.jump) <= high
+
+
+def test_a_fault_ends_when_the_next_one_begins():
+    rows = fault_rows([Fault("yaw dead", 0.0, 5.0), Fault("surge dead", 2.0, 3.0)], 1.0, 8)
+    yaw, surge = FAULTS.index("yaw dead") + 1, FAULTS.index("surge dead") + 1
+    assert rows[0].tolist() == [0, yaw, surge, 0, 0, 0, 0, 0]
+
+
+def test_the_vector_environment_has_the_same_faults():
+    scenario = replace(STORM, faults=RandomFaults(FAULTS, rate=10.0))
+    one = UnderactuatedAUVTrackEnv(scenario)
+    many = UnderactuatedAUVTrackVectorEnv(3, scenario)
+    alone, _ = one.reset(seed=7)
+    together, _ = many.reset(seed=[5, 6, 7])
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        np.testing.assert_allclose(together[2], alone, atol=1e-5)
+        action = rng.uniform(-1, 1, 2).astype(np.float32)
+        alone, *_ = one.step(action)
+        together, *_ = many.step(np.tile(action, (3, 1)))
+
+
+def test_a_scenario_file_can_have_faults():
+    scenario = replace(STORM, name="mine", faults=RandomFaults(("yaw stuck",), rate=1.0, time=4.0))
+    record = scenario.to_dict()
+    assert record["faults"] == {"kinds": ["yaw stuck"], "rate": 1.0, "time": 4.0}
+    assert Scenario.from_dict(record) == scenario
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kinds": ()}, r"faults kinds is \(\); it must be a tuple of some of: surge stuck"),
+        ({"kinds": ("rudder lost",)}, r"faults kinds is \('rudder lost',\); it must be"),
+        ({"kinds": ("yaw dead",), "rate": -1.0}, "faults rate"),
+        ({"kinds": ("yaw dead",), "time": (5.0, 2.0)}, "faults time"),
+        ({"kinds": ("position jump",), "jump": -1.0}, "faults jump"),
+    ],
+)
+def test_wrong_faults_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        RandomFaults(**given)
+
+
+def test_an_episode_with_faults_needs_a_scenario_with_faults():
+    episode = replace(STORM.draw(np.random.default_rng(0)), faults=(fault("yaw dead"),))
+    with pytest.raises(ValueError, match="the episode has faults"):
+        UnderactuatedAUVTrackEnv(STORM).reset(options={"episode": episode})
