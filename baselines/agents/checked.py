@@ -1,9 +1,9 @@
 """Check of measurements in front of a policy: frozen, missing and jumping ones are replaced by those of a model.
 
 The model is the filter for a rough sea of `baselines.agents.filters`, which takes the replaced measurements as well. A
-measurement is replaced if it repeats the previous one exactly although its noise usually changes it, or if it differs
-from the prediction by much more than is usual. After some time a difference is taken as real, and the model starts
-again. In an ordinary sea no measurement is replaced, and the policy acts as it does without the check.
+measurement is replaced if it repeats the previous one exactly although its noise usually changes it, or if it jumps and
+then differs from the prediction by much more than is usual. After some time a difference is taken as real, and the
+model starts again. A measurement that drifts away from the model is not replaced.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ GROUPS = (
 )
 """Position, heading, velocities and yaw rate."""
 USUAL = 6.0  # largest difference in multiples of its moving average
+JUMP = 0.6  # least change of a measurement in one period, over `Group.floor`, with which a difference begins
 MEMORY = 5.0  # [s] averaging time of differences
 SETTLED = 50.0  # control periods after the start in which only frozen measurements are replaced
 RATE_GAIN = 0.08
@@ -158,7 +159,8 @@ def _verdict(i: int, reading: _Reading, memory: CheckMemory, dt: Number, ns: Nam
     for change in (reading.change, memory.change):  # twice, since a smooth measurement is the same at an extremum
         same = same & (_norm([change[k] for k in group.rows], ns) < _SAME)
     frozen = same & (rough > group.noise)
-    far = (memory.age >= SETTLED) & (size > group.floor + USUAL * usual)
+    jumped = (_norm([reading.change[k] for k in group.rows], ns) > JUMP * group.floor) | (memory.waits[i] > 0.0)
+    far = (memory.age >= SETTLED) & (size > group.floor + USUAL * usual) & jumped
     off, share = frozen | far, ns.clip(dt / MEMORY, 0.0, 1.0)
     kept = off | (memory.age <= 0.0)
     usual = ns.where(kept, usual, usual + share * (size - usual))
