@@ -60,7 +60,7 @@ def adverse(speed_range: str) -> Scenario:
     )
 
 
-def without_fixes(speed_range: str) -> Mixture:
+def outages_and_far_starts(speed_range: str) -> Mixture:
     """Return storms with long outages of the position fix, and storms that begin far from the path, half of each.
 
     With the outages alone an agent unlearns to return from far starts.
@@ -133,7 +133,7 @@ MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **SLEWING,
     **_ADVERSE,
-    **{f"{speed_range}-outages": without_fixes(speed_range) for speed_range in SPEED_RANGES},
+    **{f"{speed_range}-outages": outages_and_far_starts(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
     **{
         f"{speed_range}-adverse": (*speed_range_mixture(speed_range), (adverse(speed_range), ADVERSE_WEIGHT))

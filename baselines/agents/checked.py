@@ -22,8 +22,8 @@ from auv_gym.physics.namespaces import Array, Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle, with_names
 from auv_gym.task.observation import SIZE, Observation, decode, encode
 from auv_gym.task.policy import Policy, preview_of
-from baselines.agents.filters import LAGS, MEMORY_ENTRIES, ROWS, SHARED, filter_step
-from baselines.estimation.sea_model import Estimate, measurement, transition
+from baselines.agents.filters import LAGS, MEMORY_ENTRIES, ROWS, SHARED, estimate_of, filter_step, reference_step
+from baselines.estimation.sea_model import measurement, transition
 from baselines.estimation.water_frame import reference_motion
 from baselines.policy import Batched, Memory, Starts, reference_speed, renewed
 
@@ -132,13 +132,10 @@ def checked(
 
 
 def _reading(o: Observation, memory: CheckMemory, coefficients: Coefficients, ns: Namespace) -> _Reading:
-    motion = reference_motion(o, coefficients, ns)
-    half = 0.5 * o.dt * o.dt
-    step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
+    step = reference_step(reference_motion(o, coefficients, ns), o.dt)
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     raw = x_e, y_e, ns.arctan2(o.sin_psi, o.cos_psi), o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
-    rows = memory.filter[SHARED : SHARED + len(MEMORY_ENTRIES)]
-    estimate = Estimate(**dict(zip(MEMORY_ENTRIES, rows, strict=True)), lag=LAGS[0])
+    estimate = estimate_of(memory.filter[SHARED : SHARED + len(MEMORY_ENTRIES)], LAGS[0])
     command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
     predicted = measurement(transition(estimate, command, step, o.dt, coefficients, ns), ns)
     x, y, *rest = _differences(raw, memory.last, ns)
@@ -262,8 +259,9 @@ def _turn(seen: Array, rows: NDArray[Any], columns: int) -> None:
     """Rotate the columns of a preview from the measured heading into that of the checked observations."""
     c, s = Observation._fields.index("cos_psi"), Observation._fields.index("sin_psi")
     turn = np.arctan2(rows[:, s], rows[:, c]) - np.arctan2(seen[:, s], seen[:, c])
-    for k in range(SIZE, SIZE + columns, 2):
-        x, y = rows[:, k], rows[:, k + 1]
-        turned = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
-        for column, value in zip((k, k + 1), turned, strict=True):
-            seen[:, column] = np.where(turn == 0.0, rows[:, column], value)
+    own = turn != 0.0
+    angle = turn[own, None]
+    x, y = (seen[own, first : SIZE + columns : 2] for first in (SIZE, SIZE + 1))
+    seen[own, SIZE : SIZE + columns : 2], seen[own, SIZE + 1 : SIZE + columns : 2] = to_world(
+        x, y, np.cos(angle), np.sin(angle)
+    )

@@ -21,7 +21,7 @@ from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.task.observation import Observation
 from baselines.estimation.sea_model import PLACE, STATE_SIZE, Estimate, measurement, transition
-from baselines.estimation.water_frame import reference_motion
+from baselines.estimation.water_frame import ReferenceMotion, reference_motion
 from baselines.policy import CRUISE_SPEED, is_fast
 
 FILTER_GAINS = Path(__file__).with_name("filter_gains.json")
@@ -103,15 +103,14 @@ def filter_step(
     age, x_before, y_before, *rows = memory
     initial = age <= 0.0
     motion = reference_motion(o, coefficients, ns)
-    half = 0.5 * o.dt * o.dt
-    step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
+    step = reference_step(motion, o.dt)
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     moved_x, moved_y = x_e - x_before + step[0], y_e - y_before + step[1]
     held = (moved_x * moved_x + moved_y * moved_y < _HELD * _HELD) & (age > 0.0)
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     found: list[Estimate] = []
     for i, (lag, *tables) in enumerate(zip(LAGS, gains("slow"), gains("cruise"), strict=True)):
-        own = _estimate(rows[i * len(MEMORY_ENTRIES) : (i + 1) * len(MEMORY_ENTRIES)], lag)
+        own = estimate_of(rows[i * len(MEMORY_ENTRIES) : (i + 1) * len(MEMORY_ENTRIES)], lag)
         command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
         predicted = transition(own, command, step, o.dt, coefficients, ns)
         z = _corrected(predicted, measured, held, o, tables, speed_share(speed), ns)
@@ -141,8 +140,14 @@ def _diverged(z: Estimate) -> Any:
     return within ^ True
 
 
-def _estimate(rows: Sequence[Number], lag: float) -> Estimate:
-    """Return the estimate that the rows of a memory hold."""
+def reference_step(motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
+    """Return the displacement x, y [m] of the reference in the last control period of dt [s], by its motion now."""
+    half = 0.5 * dt * dt
+    return dt * motion.v_x - half * motion.a_x, dt * motion.v_y - half * motion.a_y
+
+
+def estimate_of(rows: Sequence[Number], lag: float) -> Estimate:
+    """Return the estimate that the rows `MEMORY_ENTRIES` of a memory hold, for a time constant of the actuators [s]."""
     return Estimate(**dict(zip(MEMORY_ENTRIES, rows, strict=True)), lag=lag)
 
 

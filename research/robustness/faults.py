@@ -20,17 +20,17 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import cap_of, capped, count_failures
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, UsageError, parse
-from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.files import read_json
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 from research import DATA
 from research.pages import table
+from research.robustness.guards import FINGERPRINT, add_rows
 
 PROGRAM = "python -m research faults"
 SUITE = "faults-v1"
 FAULTS_FILE = DATA / "faults.json"  # record of the results
 POLICIES = ("backstepping", "nmpc", "nmpc-adverse", "helm", f"helm{GUARD}=nmpc-adverse", "helm-any")
 """The policies of the page, without and with the check."""
-_FINGERPRINT = "fingerprint"  # key of a policy's record
 _MENDED = ("heading-frozen", "velocity-frozen", "yaw-rate-frozen", "velocity-missing")
 """The faults of which the page says how many failures are left."""
 
@@ -66,9 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     for policy in checked_policies([name + end for name in options.policy for end in ("", CHECKED)]):
         runs = run_and_show([(policy, cell) for cell in cells], Workers(options.jobs))
         rows: dict[str, Any] = {run.scenario.name: _row(run) for run in runs}
-        record = read_json(options.out) if options.out.exists() else {}
-        record[policy] = {_FINGERPRINT: fingerprint(policy), **rows}
-        write_atomically(options.out, json_text(record))
+        add_rows(options.out, policy, fingerprint(policy), rows)
     return DONE
 
 
@@ -85,7 +83,7 @@ def context(_: str = "") -> dict[str, Any]:
     """Return the values of the template of the page."""
     record = read_json(FAULTS_FILE)
     policies = [name for name in POLICIES if name in record]
-    cells = [name for name in record[policies[0]] if name != _FINGERPRINT]
+    cells = [name for name in record[policies[0]] if name != FINGERPRINT]
     tables = []
     for speed_range in dict.fromkeys(name.partition("-")[0] for name in cells):
         own = [name for name in cells if name.startswith(speed_range)]

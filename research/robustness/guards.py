@@ -113,16 +113,15 @@ def main(arguments: Sequence[str]) -> int:
             if policy not in recorded.recorded_policies(suite):
                 raise UsageError(f"there are no recorded rows of {policy} in {name}; record them first")
             row = in_suite(policy, suite, options.episodes)
-            _add(options.out, policy, {name: row})
+            add_rows(options.out, policy, fingerprint(f"{policy}{GUARD}"), {name: row})
             print(f"{policy}, {name}: {row}", flush=True)
     return DONE
 
 
-def _add(file: Path, policy: str, rows: Mapping[str, Any]) -> None:
-    """Add rows of a policy to a file and delete its rows with another fingerprint."""
+def add_rows(file: Path, policy: str, digest: str, rows: Mapping[str, Any]) -> None:
+    """Add rows of a policy to a file and delete its rows with another fingerprint than `digest`."""
     record = read_json(file) if file.exists() else {}
     own = record.get(policy, {})
-    digest = fingerprint(f"{policy}{GUARD}")
     rest = own if own.get(FINGERPRINT) == digest else {}
     record[policy] = {**rest, FINGERPRINT: digest, **rows}
     write_atomically(file, json_text(record))
