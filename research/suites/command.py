@@ -108,7 +108,7 @@ def _build(name: str, _: Options) -> int:
 
 def _seal(name: str, _: Options) -> int:
     _check_sealed(name)
-    secret = secrets.token_urlsafe(24)
+    secret = secrets.token_hex(24)  # no leading hyphen, so that it can follow an option
     sealed.write_seal(name, sealed.Seal(sealed.sha256(secret), sealed.worlds_hash(name)))
     print(f"the secret of {name}, which is not stored anywhere: {secret}")
     return DONE
