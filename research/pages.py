@@ -33,6 +33,7 @@ PAGES: Mapping[str, str] = {
     "results/vehicles-v2": "research.results.vehicles",
     "results/learning": "research.results.learning",
     "results/faults": "research.robustness.faults",
+    "results/governed": "research.robustness.governed",
     "safety": "research.robustness.page",
     "transfer": "research.transfer.page",
     "validation": "research.validation.page",

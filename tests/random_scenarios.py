@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.faults import FAULTS, RandomFaults
 from auv_gym.physics.navigation import RandomReckoning
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.governor import Governor
 from auv_gym.planning.paths import PATHS, Path, Spline
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
@@ -223,6 +225,17 @@ def start(choose):
     return Start(**fields, random_signs=choose.of((False, True)))
 
 
+def faults(choose):
+    """Return the distribution of faults."""
+    kinds = tuple(choose.of(FAULTS) for _ in range(choose.of((1, 2, 3))))
+    return RandomFaults(kinds, choose.number(0, 60), interval(choose, 0, 2), interval(choose, 0, 5))
+
+
+def governor(choose):
+    """Return a governor."""
+    return Governor(choose.number(0, 0.9), choose.number(0.1, 1), choose.number(1, 4))
+
+
 def scenario(choose, substeps=SUBSTEPS):
     """Return a scenario; whether its path can be followed is not known.
 
@@ -239,6 +252,8 @@ def scenario(choose, substeps=SUBSTEPS):
         "sensors": sensors(choose),
         "actuators": actuators(choose),
         "start": start(choose),
+        "faults": either(choose, lambda: faults(choose)),
+        "governor": either(choose, lambda: governor(choose)),
         "steps": choose.of((1, 2, 7, 30)),
         "substeps": choose.of(substeps),
         "error_scale": choose.number(0.1, 2),

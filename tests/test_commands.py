@@ -48,7 +48,7 @@ MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "faults-v1", "vehicles-v2")
+FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "vehicles-v2")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",

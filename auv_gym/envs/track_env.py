@@ -148,7 +148,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.span)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
-        if isinstance(self.scenario.path, Path):
+        if isinstance(self.scenario.path, Path) and self.scenario.governor is None:
             self._sub_envs.fixed_table(self.scenario)
         self._law: Law | None = None
         self._vehicle = OneVehicle(self.scenario.parts, self._sub_envs.samples, self._sub_envs.constants)

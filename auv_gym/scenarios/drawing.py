@@ -89,9 +89,9 @@ class _Speed(NamedTuple):
 def drawn_as_rows(scenario: Scenario) -> bool:
     """Return whether the episodes of a scenario can be drawn as rows.
 
-    That requires paths that can be stacked, and no outages, dead reckoning or faults.
+    That requires paths that can be stacked, and no outages, dead reckoning, faults or governor.
     """
     names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
     alike = all(issubclass(PATHS[name], Family) for name in names)
     navigation = scenario.sensors.outages or scenario.sensors.reckoning
-    return alike and not navigation and scenario.faults is None
+    return alike and not navigation and scenario.faults is None and scenario.governor is None

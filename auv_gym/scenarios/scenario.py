@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from auv_gym.physics.namespaces import Number
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
+from auv_gym.planning.governor import Governor
+from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path, Retimed
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
 from auv_gym.scenarios.vehicles import as_vehicle
@@ -97,6 +98,7 @@ _PARTS: dict[str, tuple[type, ...]] = {
     "actuators": (Actuators,),
     "start": (Start,),
     "faults": (RandomFaults, type(None)),
+    "governor": (Governor, type(None)),
 }
 
 
@@ -114,6 +116,7 @@ class Scenario:
     actuators: Actuators = field(default_factory=Actuators)
     start: Start = field(default_factory=Start)
     faults: RandomFaults | None = None
+    governor: Governor | None = None  # adapts the pace of the path to the limits and the mean current of an episode
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
     substeps: int = 1  # Runge-Kutta steps in a control period
@@ -176,10 +179,14 @@ class Scenario:
         if self.faults:
             faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
             episode = replace(episode, faults=faults)
+        if self.governor:
+            current = episode.current.V_x, episode.current.V_y
+            known = self.vehicle, self.actuators, current, episode.waves
+            episode = replace(episode, path=self.governor.governed(path, *known, duration=duration))
         return episode
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
-        """Return the episode of a path, drawn from a uniform stream, without outages, dead reckoning and faults.
+        """Return the episode of a path from a uniform stream, without outages, dead reckoning, faults and governor.
 
         Args:
             path: path of the episode, or N paths as one, see `stack`.
@@ -305,12 +312,7 @@ class Scenario:
         """Return the scenario as plain dicts, lists, numbers and strings, without fields that have their default."""
         record = to_record(self)
         if not isinstance(self.path, RandomPath):
-            family = next((name for name, cls in PATHS.items() if type(self.path) is cls), None)
-            if family is None:
-                raise ValueError(
-                    f"{type(self.path).__name__} is not in auv_gym.planning.paths.PATHS, so it cannot be written"
-                )
-            record["path"] = {"family": family, **to_record(self.path)}
+            record["path"] = path_record(self.path)
         return {"name": self.name, **record}
 
     @classmethod
@@ -353,10 +355,33 @@ def _rounded(delay: Number) -> Any:
 def _path_of(record: Any) -> Path | RandomPath:
     if not isinstance(record, Mapping):
         raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
-    if "family" not in record:
-        return from_record(RandomPath, record, "path")
+    return path_from(record) if "family" in record else from_record(RandomPath, record, "path")
+
+
+def path_record(path: Path) -> dict[str, Any]:
+    """Return a path as a dict with the name of its family, see `path_from`.
+
+    Raises:
+        ValueError: its class is not in `auv_gym.planning.paths.PATHS`.
+    """
+    family = next((name for name, cls in PATHS.items() if type(path) is cls), None)
+    if family is None:
+        raise ValueError(f"{type(path).__name__} is not in auv_gym.planning.paths.PATHS, so it cannot be written")
+    inner = {"path": path_record(path.path)} if isinstance(path, Retimed) else {}
+    return {"family": family, **to_record(path), **inner}
+
+
+def path_from(record: Any) -> Path:
+    """Return the path of a dict in the format of `path_record`.
+
+    Raises:
+        ValueError: the family is unknown, or an entry is unknown or wrong.
+    """
+    if not isinstance(record, Mapping):
+        raise ValueError(f"path is {record!r}; it must be a table with a family")
     rest = dict(record)
-    family = rest.pop("family")
+    family = rest.pop("family", None)
     if not isinstance(family, str) or family not in PATHS:
         raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
-    return from_record(PATHS[family], rest, f"path {family}")
+    special = {"path": path_from} if PATHS[family] is Retimed else None
+    return cast(Path, from_record(PATHS[family], rest, f"path {family}", special))

@@ -93,7 +93,7 @@ def with_fixed_paths(scenarios: Sequence[Scenario], seed: int) -> list[list[Scen
 
 
 def _on_fixed_paths(scenario: Scenario, rng: np.random.Generator) -> list[Scenario]:
-    if not isinstance(scenario.path, RandomPath):
+    if scenario.governor or not isinstance(scenario.path, RandomPath):  # a governed path is for one episode's current
         return [scenario]
     if not (paths := _followed(scenario, rng, ATTEMPTS, PATHS)):
         raise ValueError(f"the vehicle of scenario {scenario.name!r} can follow none of {ATTEMPTS} paths; use others")

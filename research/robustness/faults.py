@@ -5,7 +5,7 @@ The episodes are those of the suite faults-v1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import cap_of, capped, count_failures
+from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import read_json
@@ -29,7 +29,7 @@ from research.robustness.guards import FINGERPRINT, add_rows
 PROGRAM = "python -m research faults"
 SUITE = "faults-v1"
 FAULTS_FILE = DATA / "faults.json"  # record of the results
-POLICIES = ("backstepping", "nmpc", "nmpc-adverse", "helm", f"helm{GUARD}=nmpc-adverse", "helm-any")
+POLICIES = ("backstepping", "nmpc", "nmpc-adverse", "helm", "helm-any", f"helm-any{GUARD}=nmpc-adverse")
 """The policies of the page, without and with the check."""
 _MENDED = ("heading-frozen", "velocity-frozen", "yaw-rate-frozen", "velocity-missing")
 """The faults of which the page says how many failures are left."""
@@ -59,24 +59,32 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
-    if options.episodes < 1:
-        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
-    cells = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in load_suite(SUITE).cells]
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    for policy in checked_policies([name + end for name in options.policy for end in ("", CHECKED)]):
-        runs = run_and_show([(policy, cell) for cell in cells], Workers(options.jobs))
-        rows: dict[str, Any] = {run.scenario.name: _row(run) for run in runs}
-        add_rows(options.out, policy, fingerprint(policy), rows)
+    record_runs([name + end for name in options.policy for end in ("", CHECKED)], load_suite(SUITE).cells, options)
     return DONE
 
 
+def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options) -> None:
+    """Run policies in the first episodes of cells, and add failures and errors to the file of the options.
+
+    Raises:
+        UsageError: the options are invalid, or a policy fails with an error.
+    """
+    if options.episodes < 1:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
+    own = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in cells]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    for policy in checked_policies(policies):
+        runs = run_and_show([(policy, cell) for cell in own], Workers(options.jobs))
+        add_rows(options.out, policy, fingerprint(policy), {run.scenario.name: _row(run) for run in runs})
+
+
 def _row(run: Any) -> dict[str, float]:
-    """Return the number of episodes and failures of a run, and the mean capped error [mm]."""
+    """Return the number of episodes and failures of a run, and the mean capped error [mm] in the paper's metres."""
     if run.measures is None:
         raise UsageError(f"{run.policy} in {run.scenario.name}: {run.error}")
-    cap = cap_of(run.scenario)
-    error = 1e3 * float(capped(run.measures, cap).mean())
-    return {"episodes": len(run.measures), "failed": count_failures(run.measures, cap), "error_mm": round(error, 2)}
+    measures, cap = in_paper_metres(run.measures, run.scenario), error_cap(run.scenario.name)
+    error = 1e3 * float(capped(measures, cap).mean())
+    return {"episodes": len(measures), "failed": count_failures(measures, cap), "error_mm": round(error, 2)}
 
 
 def context(_: str = "") -> dict[str, Any]:
@@ -103,10 +111,11 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def _cell(record: Any, policy: str, names: Sequence[str]) -> str:
-    """Return failures and mean error [cm] in some cells, without and with the check; once if it changes nothing."""
-    sides = []
-    for name in (policy, policy + CHECKED):
-        rows = [record[name][cell] for cell in names]
-        error = sum(row["error_mm"] for row in rows) / len(rows) / 10
-        sides.append(f"{sum(row['failed'] for row in rows)}; {error:.3g}")
-    return " -> ".join(dict.fromkeys(sides))
+    return both([[record[name][cell] for cell in names] for name in (policy, policy + CHECKED)])
+
+
+def both(sides: Sequence[Sequence[Mapping[str, float]]]) -> str:
+    """Return failures and mean error [cm] of rows before and after a change; once if it changes nothing."""
+    errors = (sum(row["error_mm"] for row in rows) / len(rows) / 10 for rows in sides)
+    texts = (f"{sum(row['failed'] for row in rows)}; {e:.3g}" for rows, e in zip(sides, errors, strict=True))
+    return " -> ".join(dict.fromkeys(texts))

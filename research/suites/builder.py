@@ -15,7 +15,8 @@ from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWa
 from auv_gym.physics.faults import FAULTS, RandomFaults
 from auv_gym.physics.intervals import Interval
 from auv_gym.planning.feasibility import InfeasibleReferenceError
-from auv_gym.planning.paths import Path, Spline
+from auv_gym.planning.governor import Governor
+from auv_gym.planning.paths import Path, Retimed, Spline
 from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.episode import Episode
@@ -40,6 +41,7 @@ SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
 DEEP_EPISODES = 60  # episodes in a cell of deep-v1
 FIRST_VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
 FAULT_EPISODES = 40  # episodes in a cell of faults-v1
+GOVERNED_EPISODES = 24  # episodes in a cell of governed-v1
 VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v2
 STRONGER = 1.5  # factor on current and waves in ood-v1
 FARTHER = 1.3  # factor on the ranges of the mismatch about 1 in ood-v1
@@ -157,6 +159,27 @@ def _faults() -> list[Recipe]:
     return recipes
 
 
+def _governed() -> list[Recipe]:
+    """Return disturbed cruise cases with governed plans for each published vehicle with fins."""
+    recipes = []
+    for vehicle in (name for name in vehicle_names() if vehicle_model(name).actuators.fin):
+        for case in ("current", "waves", "storm"):
+            scenario = replace(changed(PRESETS[f"cruise-{case}"], vehicle), governor=Governor())
+            name = f"cruise-{case}-governed@{vehicle}"
+            recipes.append(Recipe(replace(scenario, name=name), GENTLE, GOVERNED_EPISODES))
+    return recipes
+
+
+def own_pace(cell: Cell) -> Cell:
+    """Return a cell of a governed suite with the paths at their own pace; everything else is the same."""
+    scenario = replace(cell.scenario, name=cell.scenario.name.replace("-governed", ""), governor=None)
+    return Cell(scenario, tuple(replace(e, path=_own_pace(e.path)) for e in cell.episodes))
+
+
+def _own_pace(path: Path) -> Path:
+    return path.path if isinstance(path, Retimed) else path
+
+
 def _deep() -> list[Recipe]:
     return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.deep_worlds()]
 
@@ -242,6 +265,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "vehicles-v1": (1_000_006, lambda: _vehicles(FIRST_VEHICLE_EPISODES, FilePath(__file__).parent / "vehicles_v1")),
     "vehicles-v2": (1_000_007, lambda: _vehicles(VEHICLE_EPISODES)),
     "faults-v1": (1_000_008, _faults),
+    "governed-v1": (1_000_009, _governed),
     **{name: (None, partial(_sealed, **changes)) for name, changes in sealed.WORLDS.items()},
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
@@ -290,7 +314,8 @@ def _episode(recipe: Recipe, i: int, rng: np.random.Generator) -> Episode:
         episode = replace(scenario, path=distribution).draw(rng)
         episode = replace(episode, path=given or episode.path, noise_seed=episode.noise_seed % 2**32)
         try:
-            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max), act.fin)
+            for path in dict.fromkeys((_own_pace(episode.path), episode.path)):
+                plan(path, scenario.vehicle, times, (act.F_u_max, act.F_r_max), act.fin)
         except InfeasibleReferenceError:
             continue
         return episode

@@ -126,7 +126,7 @@ ANY_SCENARIOS = "helm slow-outages:3 cruise-outages:3"
 """Scenarios of `helm-any`: those of `helm`, and long outages of the position fix."""
 SHIPPED_TRAININGS: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
-    "helm-any": training("apg", ANY_SCENARIOS, timesteps=64_000_000, changes=ANY_VEHICLE, from_="helm"),
+    "helm-any": training("apg", ANY_SCENARIOS, timesteps=124_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),

@@ -47,7 +47,7 @@ SPLINES = (
     Spline(WAYPOINTS[:3], 0.9, SPEEDS[:3]),
     Spline(WAYPOINTS[:2], 0.9, SPEEDS[:2]),
 )
-RANDOM_FAMILIES = [family for name, family in PATHS.items() if name != "spline"]
+RANDOM_FAMILIES = [family for family in PATHS.values() if hasattr(family, "drawn")]
 
 
 def name_of(path):

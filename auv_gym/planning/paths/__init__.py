@@ -1,8 +1,8 @@
 """Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
 
-All families except `Spline` are subclasses of `Family`. Their fields may be arrays of shape (N,), see `stack`; with
-times of shape (T, 1) such a path represents N paths. Angles are counter-clockwise from the x axis. Positive turn rates
-are counter-clockwise.
+All families except `Spline` and `Retimed` are subclasses of `Family`. Their fields may be arrays of shape (N,), see
+`stack`; with times of shape (T, 1) such a path represents N paths. Angles are counter-clockwise from the x axis.
+Positive turn rates are counter-clockwise.
 
 A new family is a frozen dataclass with the members of `Path`, preferably a `Family`, an entry in `PATHS` and a test.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import Family, Path
 from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
+from auv_gym.planning.paths.retimed import Retimed
 from auv_gym.planning.paths.spline import Spline
 from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth
 
@@ -32,6 +33,7 @@ __all__ = [
     "Line",
     "Path",
     "RandomSmooth",
+    "Retimed",
     "Sine",
     "Spline",
     "evaluate_paths",
@@ -48,6 +50,7 @@ PATHS: dict[str, type] = {
     "lawnmower": Lawnmower,
     "random_smooth": RandomSmooth,
     "spline": Spline,
+    "retimed": Retimed,
 }
 """The families by their names in scenarios."""
 

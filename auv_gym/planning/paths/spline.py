@@ -10,10 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import is_number
+from auv_gym.planning.paths.base import by_time, is_number, times_of
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
-
-_DOMAIN_ROUNDING = 1e-9  # [s] tolerance at the ends of a spline's domain
 
 
 @dataclass(frozen=True)
@@ -59,11 +57,10 @@ class Spline:
         Raises:
             ValueError: a time is outside 0 ... `end`.
         """
-        t = np.asarray(t, dtype=np.float64)
-        if not np.all((t >= -_DOMAIN_ROUNDING) & (t <= self.end + _DOMAIN_ROUNDING)):
-            raise ValueError(f"Spline: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+        t = times_of(self, t)
         q = self._law.chord(t)
-        p, p1, p2, p3 = (np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4))  # by q
+        p = [np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4)]  # by q
+        _, p1, p2, p3 = p
         V, V1, V2 = (self._law.pace(q, nu) for nu in range(3))
         g = np.hypot(*p1)
         g1 = (p1 * p2).sum(axis=0) / g
@@ -72,7 +69,7 @@ class Spline:
         Q1 = (V1 - Q * g1) / g
         Q2 = (V2 - 2 * Q1 * g1 - Q * g2) / g
         q1, q2, q3 = Q, Q * Q1, Q * (Q1 * Q1 + Q * Q2)  # by t
-        return np.stack((p, p1 * q1, p2 * q1**2 + p1 * q2, p3 * q1**3 + 3 * p2 * q1 * q2 + p1 * q3))
+        return by_time(p, q1, q2, q3)
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,9 @@ from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.faults import Fault
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import from_record, guarded, to_record
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario, path_from, path_record
 from baselines.control.privileged.truth import samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors, speed_range_of
@@ -206,8 +205,7 @@ def _rounded(value: Any) -> Any:
 
 def _episode_record(episode: Episode, scenario: Scenario) -> dict[str, Any]:
     """Return an episode as a plain dict, without the values that follow from its scenario."""
-    family = next(name for name, cls in PATHS.items() if type(episode.path) is cls)
-    record = to_record(episode) | {"path": {"family": family, **to_record(episode.path)}}
+    record = to_record(episode) | {"path": path_record(episode.path)}
     if episode.vehicle == scenario.vehicle:
         del record["vehicle"]
     return {key: value for key, value in _rounded(record).items() if key not in _DEFAULTS or value != _DEFAULTS[key]}
@@ -218,13 +216,11 @@ _DEFAULTS: dict[str, Any] = {"current": {}, "waves": None, "bias": [0.0] * 6, "l
 
 
 def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
-    rest = dict(record["path"])
-    path: Any = from_record(PATHS[rest.pop("family")], rest, "path")
-    values: dict[str, Any] = {**_DEFAULTS, **record, "path": path}
+    values: dict[str, Any] = {**_DEFAULTS, **record}
     if "vehicle" not in record:
         values["vehicle"] = scenario.vehicle
     special = {
-        "path": lambda value: value,
+        "path": path_from,
         "vehicle": lambda value: value if isinstance(value, Vehicle) else from_record(Vehicle, value, "vehicle"),
         "current": lambda value: from_record(Current, value, "current"),
         "waves": lambda value: None if value is None else from_record(Waves, value, "waves"),
