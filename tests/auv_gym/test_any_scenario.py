@@ -25,7 +25,7 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
 from auv_gym.physics.errors import to_world
-from auv_gym.planning.paths import Spline
+from auv_gym.planning.paths import Retimed, Spline
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import Observation
 
@@ -192,21 +192,25 @@ def turned(episode, angle, shift):
         x, y = vector(x, y)
         return x + shift[0], y + shift[1]
 
-    path, current = episode.path, episode.current
-    if isinstance(path, Spline):
-        path = replace(path, waypoints=tuple(point(*p) for p in path.waypoints))
-    else:
+    def turned_path(path):
+        if isinstance(path, Retimed):
+            return replace(path, path=turned_path(path.path))
+        if isinstance(path, Spline):
+            return replace(path, waypoints=tuple(point(*p) for p in path.waypoints))
         x0, y0 = point(path.x0, path.y0)
-        path = replace(path, x0=x0, y0=y0, heading=path.heading + angle)
+        return replace(path, x0=x0, y0=y0, heading=path.heading + angle)
+
+    current = episode.current
     V_x, V_y = vector(current.V_x, current.V_y)
     (A_x, A_y), (k_x, k_y) = vector(*current.shear[:2]), vector(*current.shear[2:4])
     phase = current.shear[4] - k_x * shift[0] - k_y * shift[1]
     return replace(
         episode,
-        path=path,
+        path=turned_path(episode.path),
         current=replace(current, V_x=V_x, V_y=V_y, shear=(A_x, A_y, k_x, k_y, phase)),
         bias=(*vector(*episode.bias[:2]), *episode.bias[2:]),
         initial_error=(*vector(*episode.initial_error[:2]), episode.initial_error[2]),
+        faults=tuple(fault._replace(jump=vector(*fault.jump)) for fault in episode.faults),
     )
 
 
