@@ -1,6 +1,7 @@
 """The study of governed plans: its suite, a quick form of the command, its record, and the page."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from baselines.tools.command_line import run
 from baselines.tools.files import read_json
 from research.robustness import governed
 from research.suites.builder import own_pace
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_suite_differs_from_the_same_paths_at_their_own_pace_by_the_pace_only():
@@ -52,3 +55,10 @@ def test_a_quick_form_of_the_command(tmp_path, monkeypatch):
 def test_the_record_is_of_these_policies(policy):
     stamp = read_json(governed.GOVERNED_FILE)[policy]["fingerprint"]
     assert stamp == fingerprint(policy), f"run {governed.PROGRAM} --policy {policy} again"
+
+
+def test_the_readme_says_how_many_failures_are_left():
+    found = governed.context()
+    (before, after), (rival_before, rival_after) = (found["failures"][name] for name in ("helm-any", "nmpc"))
+    said = f"{after} of {found['total']} episodes, not {before}; `nmpc` in {rival_after}, not {rival_before}"
+    assert said in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
