@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,6 @@ _VALIDATION_EPISODES = 10  # episodes of a path family in a cell of benchmark-v1
 UNMODELLED_EPISODES = 30  # episodes of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
 DEEP_EPISODES = 60  # episodes in a cell of deep-v1
-FIRST_VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # episodes in a cell of vehicles-v1
 FAULT_EPISODES = 40  # episodes in a cell of faults-v1
 GOVERNED_EPISODES = 24  # episodes in a cell of governed-v1
 VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v2
@@ -184,18 +182,11 @@ def _deep() -> list[Recipe]:
     return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.deep_worlds()]
 
 
-def _vehicles(counts: Mapping[str, int], folder: FilePath | None = None) -> list[Recipe]:
-    """Return the recipes of all cases for each published vehicle at its own speeds; slow motion only without fins.
-
-    Args:
-        counts: number of episodes in a cell, by speed range.
-        folder: has files that replace those of the same name in the package.
-    """
-    own = {name: name for name in vehicle_names()}
-    own |= {file.stem: str(file) for file in folder.glob("*.toml")} if folder else {}
+def _vehicles() -> list[Recipe]:
+    """Return all cases for each published vehicle at its own speeds; slow motion only for vehicles without fins."""
     return [
-        Recipe(changed(PRESETS[f"{speed_range}-{case}"], own[vehicle]), GENTLE, episodes)
-        for speed_range, episodes in counts.items()
+        Recipe(changed(PRESETS[f"{speed_range}-{case}"], vehicle), GENTLE, episodes)
+        for speed_range, episodes in VEHICLE_EPISODES.items()
         for vehicle in vehicle_names()
         if speed_range == "cruise" or not vehicle_model(vehicle).actuators.fin
         for case in CASES
@@ -262,8 +253,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
     "deep-v1": (1_000_005, _deep),
-    "vehicles-v1": (1_000_006, lambda: _vehicles(FIRST_VEHICLE_EPISODES, FilePath(__file__).parent / "vehicles_v1")),
-    "vehicles-v2": (1_000_007, lambda: _vehicles(VEHICLE_EPISODES)),
+    "vehicles-v2": (1_000_007, _vehicles),
     "faults-v1": (1_000_008, _faults),
     "governed-v1": (1_000_009, _governed),
     **{name: (None, partial(_sealed, **changes)) for name, changes in sealed.WORLDS.items()},
