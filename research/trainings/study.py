@@ -56,6 +56,7 @@ class Variant:
 
 
 _SEEDS = 5  # seeds of each shipped agent
+_LONG_SEEDS = 3  # seeds of `OF_ALL_VEHICLES`, whose training is the longest
 _SHORT = 3_000_000  # control steps of the trainings of `SHORT_TRAININGS`
 _FEW = 2  # seeds of the trainings of `SHORT_TRAININGS`
 
@@ -109,7 +110,7 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     family, _, speed_range = name.rpartition("-")
     if speed_range in SPEED_RANGES:
         return {name: Variant(_FAMILIES[family], speed_range, replace(each, seeds=_SEEDS))}
-    own = replace(each, seeds=_SEEDS)
+    own = replace(each, seeds=_LONG_SEEDS if name == OF_ALL_VEHICLES else _SEEDS)
     where = RECORDED_SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
     return {
         f"{name}-{speed_range}": Variant(_FAMILIES[name], speed_range, own, where, name) for speed_range in SPEED_RANGES

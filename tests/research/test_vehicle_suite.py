@@ -41,7 +41,7 @@ from baselines.evaluation.suites import rounded
 from baselines.similar import shown_factors
 from research.results import vehicles
 from research.results.collection import Results, better_than
-from research.results.study_files import Study
+from research.results.study_files import Study, load_studies
 from research.suites.builder import BUILDERS, VEHICLE_EPISODES, _cell
 
 ROOT = Path(__file__).parents[2]
@@ -255,6 +255,9 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
         f"`helm-any` has {error.mean:.2f} ({fixed_ends(error.ci95, 2)}) times the error of `nmpc`, but it fails more "
         "often on two of the four vehicles with fins"
     ) in readme
+    ((_, seeds, over_seeds, *_),) = vehicles.seed_rows(pairs["nmpc"].own, load_studies())
+    assert seeds == "3"
+    assert f"Over three training seeds the ratio is {over_seeds}." in readme
     finned = [name for name in vehicle_names() if vehicle_model(name).actuators.fin]
     own, rival = (
         [pairs[policy].among(lambda cell, name=name: vehicle_of(cell) == name).failed for name in finned]
