@@ -74,14 +74,16 @@ def test_wrong_usage(arguments, message):
 
 
 def test_the_sentences_of_the_page_and_of_the_readme_are_true():
-    """`helm` has a significant lead over `nmpc`, as in the README; no agent has a lead over `nmpc-adverse`."""
+    """`helm` leads `nmpc`, as in the README; no agent leads `nmpc-adverse`, and `helm-any` at cruise is level."""
     leads = {suite: rows for suite, (_, rows) in context()["leads"].items()}
     rows = {suite: [line.strip("| ").split(" | ") for line in text.splitlines()[2:]] for suite, text in leads.items()}
     own = {row[0]: row for row in rows["benchmark-v2"]}
     for speed_range in ("slow", "cruise"):
         assert all(float(own[f"`helm`, {speed_range}"][column].split(" ... ")[0]) > 0 for column in (4, 6))
         assert abs(float(own[f"`apg-{speed_range}`"][2]) - float(own[f"`apg-scratch-{speed_range}`"][2])) < 0.005
-    assert all(float(row[4].split(" ... ")[1]) < 0 for row in rows["unmodelled-v1"])
+    intervals = {row[0]: [float(end) for end in row[4].split(" ... ")] for row in rows["unmodelled-v1"]}
+    assert [agent for agent, (_, high) in intervals.items() if high >= 0] == ["`helm-any`, cruise"]
+    assert all(low < 0 for low, _ in intervals.values())
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     slow, cruise = (own[f"`helm`, {speed_range}"][3] for speed_range in ("slow", "cruise"))
     assert f"by {slow} in slow motion and by {cruise} at cruise" in readme
