@@ -21,7 +21,6 @@ from auv_gym.physics.disturbances import Waves
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.crossed import motion, steady_sideslips
 from auv_gym.planning.feasibility import sideslip_allowed, torque_limit
 from auv_gym.planning.paths import Path, Retimed
 from auv_gym.planning.paths.base import by_time
@@ -113,6 +112,9 @@ def reserves(
     with np.errstate(all="ignore"):  # a motion that is impossible gives nan
         along: Any = path_rates(moved)
         if vehicle.has_cross_terms:
+            # Imported here: it loads the compiler of equations, and scenarios without a governor need none of it.
+            from auv_gym.planning.crossed import motion, steady_sideslips
+
             rows, acting = np.array([getattr(along, name) for name in RATES]), np.array(vehicle.acting)
             w = steady_sideslips(rows, acting)[0]
             (_, u, _, _, F_u, F_r, _), possible = motion(rows, w, acting)
@@ -139,9 +141,10 @@ def _smoothed(rates: Array, step: float, vehicle: Vehicle) -> Array:
 
 def _retimed(path: Path, s: Array, rates: Array, interval: float, duration: float) -> Path:
     """Return the path that is followed at these rates at the places s [s] of its own time law."""
-    spent = np.concatenate(([0.0], np.cumsum(np.diff(s) * 0.5 * (1 / rates[1:] + 1 / rates[:-1]))))
+    from scipy.integrate import cumulative_trapezoid
+
     knots = interval * np.arange(max(4, 2 + math.ceil(duration / interval)))
-    at_knots = np.interp(knots, spent, rates)
+    at_knots = np.interp(knots, cumulative_trapezoid(1 / rates, s, initial=0), rates)
     if math.isfinite(path.end):  # a path that would end too early is followed more slowly
         at_knots *= min(1.0, path.end / (1.01 * interval * at_knots.sum()))
     return Retimed(path, interval, tuple(at_knots.tolist()))

@@ -5,7 +5,7 @@ The episodes are those of the suite governed-v1; each runs twice, with the same 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -62,15 +62,18 @@ def context(_: str = "") -> dict[str, Any]:
     record, cells = read_json(GOVERNED_FILE), load_suite(SUITE).cells
     policies = [name for name in POLICIES if name in record]
     names = {cell.scenario.name: own_pace(cell).scenario.name for cell in cells}
+
+    def sides(policy: str, governed: Iterable[str]) -> list[list[dict[str, float]]]:
+        """Return the rows of a policy in some cells, at the path's own pace and governed."""
+        return [[record[policy][names[n]] for n in governed], [record[policy][n] for n in governed]]
+
     rows = []
     for cell in cells:
         name = cell.scenario.name
         case = name.removeprefix("cruise-").partition("-")[0]
-        own = [faults.both([[record[p][names[name]]], [record[p][name]]]) for p in policies]
-        rows.append([f"`{vehicle_of(name)}`", case, _paces(cell), *own])
-    failures = {p: [sum(record[p][n]["failed"] for n in side) for side in (names.values(), names)] for p in policies}
-    everything = [faults.both([[record[p][n] for n in side] for side in (names.values(), names)]) for p in policies]
-    rows.append(["all", "", "", *everything])
+        rows.append([f"`{vehicle_of(name)}`", case, _paces(cell), *(faults.both(sides(p, [name])) for p in policies)])
+    rows.append(["all", "", "", *(faults.both(sides(p, names)) for p in policies)])
+    failures = {p: [sum(row["failed"] for row in side) for side in sides(p, names)] for p in policies}
     heads = ["vehicle", "case", "pace", *(f"`{p}`" for p in policies)]
     episodes = record[policies[0]][cells[0].scenario.name]["episodes"]
     return {

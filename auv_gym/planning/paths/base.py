@@ -98,6 +98,19 @@ def times_of(path: Path, t: Array) -> Array:
     return t
 
 
+def lowest(curve: Any) -> tuple[float, float]:
+    """Return where a scipy piecewise polynomial is lowest among its turning points, and its value; (nan, inf) if none.
+
+    Between given values a spline is not positive only if this value is not.
+    """
+    turning = curve.derivative().roots(extrapolate=False)
+    turning = turning[np.isfinite(turning)]
+    if not turning.size:
+        return math.nan, math.inf
+    values = curve(turning)
+    return float(turning[values.argmin()]), float(values.min())
+
+
 def by_time(p: Sequence[Array] | Array, q1: Array, q2: Array, q3: Array) -> Array:
     """Return p(q(t)) and its first three derivatives in t, shape (4, 2, T).
 

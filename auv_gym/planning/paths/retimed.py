@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import DOMAIN_ROUNDING, Path, by_time, is_number, times_of
+from auv_gym.planning.paths.base import DOMAIN_ROUNDING, Path, by_time, is_number, lowest, times_of
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,7 @@ class Retimed:
         if wrong := [rate for rate in self.rates if not is_number(rate, "positive")]:
             raise ValueError(f"Retimed: rates must be finite and positive, got {wrong[0]!r}")
         object.__setattr__(self, "rates", tuple(float(rate) for rate in self.rates))
-        rate = self._law.derivative()
-        turning = rate.derivative().roots(extrapolate=False)
-        if (least := rate(turning[np.isfinite(turning)]).min(initial=1.0)) <= 0:
+        if (least := lowest(self._law.derivative())[1]) <= 0:
             raise ValueError(f"Retimed: the rate must stay positive between the given ones, got {least:.4g}")
         if not self.path.start <= 0 or not self._law(self.end) <= self.path.end + DOMAIN_ROUNDING:
             raise ValueError(

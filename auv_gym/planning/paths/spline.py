@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import by_time, is_number, times_of
+from auv_gym.planning.paths.base import by_time, is_number, lowest, times_of
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
 
 
@@ -178,12 +178,10 @@ def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:
 
 def _check_pace(pace: Any, chords: Array) -> None:
     """Raise ValueError if the spline of the speed is not positive between the waypoints."""
-    turning = pace.derivative().roots(extrapolate=False)
-    turning = turning[np.isfinite(turning)]
-    if turning.size and pace(turning).min() <= 0:
-        q = turning[pace(turning).argmin()]
+    q, least = lowest(pace)
+    if least <= 0:
         k = int(np.searchsorted(chords, q)) - 1
         raise ValueError(
-            f"Spline: the speed must stay positive, got {pace(q):.4g} m/s between waypoints {k} and {k + 1}; "
+            f"Spline: the speed must stay positive, got {least:.4g} m/s between waypoints {k} and {k + 1}; "
             "let the speeds change less, or over more waypoints"
         )
