@@ -129,7 +129,7 @@ def collect(
     for policy in policies:
         for noise in noises:
             first = seed + episodes * len(parts)
-            made = make_policy(policy, scenario.vehicle)
+            made = make_policy(policy, scenario.known)
             made = NoisyPolicy(made, noise, first) if noise else made
             parts.append(DatasetPart(policy, noise, run_episodes(made, scenario, episodes, first)))
     return parts

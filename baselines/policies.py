@@ -7,6 +7,7 @@ from typing import Any
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.policy import Policy
 from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
@@ -23,7 +24,9 @@ def list_policies() -> dict[str, str]:
     return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 
-def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
+def make_policy(
+    name: str, vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None, **options: Any
+) -> Policy:
     """Return a policy by name or path.
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These

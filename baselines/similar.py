@@ -16,30 +16,31 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.units import POWERS, Units, in_paper_units
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, vehicle_model_of
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Law, Policy, preview_of, traceable
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts
 
 
-def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
+def made_for(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
     """Return a policy for a vehicle: made in the paper's units, with observations scaled to these units.
 
     Args:
         vehicle: an object, a name, a file or a dict of its parameters. None: the paper's.
-        make: function that returns the policy for a vehicle; called once. If the vehicle has the mass, length and
-            design speed of the paper's, it is passed unchanged, and so is the policy.
+        make: function that returns the policy for a vehicle; called once, with a `VehicleModel` if the actuators are
+            known, see `vehicle_model_of`, else with a `Vehicle`. If the vehicle has the mass, length and design
+            speed of the paper's, it is passed unchanged, and so is the policy.
 
     Raises:
         ValueError: there is no such vehicle, or it cannot be scaled to the paper's units.
     """
     if vehicle is None:
         return make(None)
-    known = as_vehicle(vehicle)
+    vehicle_model, known = vehicle_model_of(vehicle), as_vehicle(vehicle)
     units = Units.of(known)
     if units == Units():
-        return make(known)
-    policy = make(in_paper_units(known))
+        return make(vehicle_model or known)
+    policy = make(vehicle_model.in_paper_units if vehicle_model else in_paper_units(known))
     return SimilarLaw(policy, units) if isinstance(policy, Law) and traceable(policy) else Similar(policy, units)
 
 

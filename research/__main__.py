@@ -15,6 +15,7 @@ COMMANDS = {
     "faults": Command("research.robustness.faults", "eval"),
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),
+    "gain-exponents": Command("research.vehicles.exponents", "train"),
     "governed": Command("research.robustness.governed", "eval"),
     "guards": Command("research.robustness.guards", "eval"),
     "held-out": Command("research.results.held_out", "eval"),

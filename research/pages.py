@@ -44,7 +44,10 @@ PAGES: Mapping[str, str] = {
 figures as PNG, by name."""
 PARTS: Mapping[str, Mapping[str, str]] = {
     "vehicles": {"published vehicles": "research.vehicles.tables:published_vehicles"},
-    "vehicle-gains": {"gains": "research.vehicles.vehicles_page:gains_section"},
+    "vehicle-gains": {
+        "exponents": "research.vehicles.vehicles_page:exponents_section",
+        "gains": "research.vehicles.vehicles_page:gains_section",
+    },
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},

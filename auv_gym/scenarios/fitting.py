@@ -19,7 +19,7 @@ from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle, as_vehicle_model
+from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, as_vehicle, as_vehicle_model
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
@@ -87,6 +87,7 @@ class _Fit:
         return self.stepped(
             scenario,
             vehicle=self.vehicle_model.vehicle,
+            model=self.vehicle_model,
             control_dt=float(f"{scenario.control_dt * time:.2g}"),
             error_scale=scenario.error_scale * length,
             lost_distance=scenario.lost_distance * length,
@@ -134,7 +135,7 @@ class _Fit:
         """Return actuators with the same ratios to the limits and the lag of the vehicle."""
         own, time = self.vehicle_model.actuators, self.units.time
         force, torque = (own.F_u_max / PAPER.actuators.F_u_max, own.F_r_max / PAPER.actuators.F_r_max)
-        slow = time if self.vehicle_model.lag is None else self.vehicle_model.lag / 0.2
+        slow = time if self.vehicle_model.lag is None else self.vehicle_model.lag / PAPER_LAG
         return replace(
             given,
             F_u_max=given.F_u_max * force,

@@ -23,8 +23,12 @@ T = TypeVar("T")
 
 
 def to_record(instance: Any) -> dict[str, Any]:
-    """Return a dataclass as a dict of plain values; fields with their default value are omitted."""
-    return {f.name: _plain(value) for f in fields(instance) if (value := getattr(instance, f.name)) != _default(f)}
+    """Return a dataclass as a dict of plain values, without default values and fields that are not compared."""
+    return {
+        f.name: _plain(value)
+        for f in fields(instance)
+        if f.compare and (value := getattr(instance, f.name)) != _default(f)
+    }
 
 
 def _default(field: Any) -> Any:
@@ -51,7 +55,7 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"{where} is {record!r}; it must be a table of named values")
-    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+    known = {f.name: f for f in fields(cls) if f.compare}  # type: ignore[arg-type]
     if unknown := [key for key in record if key not in known]:
         raise ValueError(f"{where} has no entry {unknown[0]!r}; allowed are {', '.join(known)}")
     required = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]

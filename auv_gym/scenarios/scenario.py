@@ -25,7 +25,7 @@ from auv_gym.planning.governor import Governor
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path, Retimed
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
-from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS
 from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
 
@@ -123,6 +123,7 @@ class Scenario:
     error_scale: float = 0.5  # [m] position error at which the reward is 0.71
     rate_weight: float = 0.05  # penalty for the squared change of the action
     lost_distance: float = 30.0  # [m] position error that terminates
+    model: VehicleModel | None = field(default=None, compare=False, repr=False)  # of the vehicle; not in records
 
     def __post_init__(self) -> None:
         if not self.name or not isinstance(self.name, str) or not self.name.isprintable():
@@ -156,6 +157,11 @@ class Scenario:
             waves = self.waves.draw(lambda: 0.0, speed, self.vehicle)
             surge, sway, yaw = surge + waves.surge, waves.sway, yaw + waves.yaw
         check_step(self.control_dt / self.substeps, coefficients, (surge, sway, yaw), speeds)
+
+    @property
+    def known(self) -> Vehicle | VehicleModel:
+        """What policies get: the vehicle, with its actuators if the scenario was adapted to a vehicle model."""
+        return self.model if self.model is not None and self.model.vehicle == self.vehicle else self.vehicle
 
     @property
     def duration(self) -> float:

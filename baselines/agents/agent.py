@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.records import from_record, guarded, to_record
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.features import ERROR_FEATURES, STANDARD, Inputs
@@ -88,7 +89,9 @@ class Agent:
                 raise ValueError(f"region is {self.region!r}; it must be {ERROR_FEATURES} positive numbers")
         check_weights(self.network, self.weights)
 
-    def policy(self, fade: bool = False, vehicle: Vehicle | None = None, precision: str = "float64") -> Policy:
+    def policy(
+        self, fade: bool = False, vehicle: Vehicle | VehicleModel | None = None, precision: str = "float64"
+    ) -> Policy:
         """Return the policy: expert plus correction of the network.
 
         Args:
@@ -104,14 +107,13 @@ class Agent:
             raise ValueError("the agent has no expert, so its corrections cannot fade to an expert's action")
         if fade and self.region is None:
             raise ValueError("the agent has no region of its training, so it cannot fade; train it again")
-        expert = make_expert(self.expert, vehicle=vehicle)
+        known = as_vehicle(vehicle or PAPER_VEHICLE)
+        expert = make_expert(self.expert, vehicle=known)
         region = self.region if fade else None
-        coefficients = (vehicle or PAPER_VEHICLE).coefficients
         own = {name.partition("-")[0] for name in self.scenarios}
         speeds = _SPEEDS[own.pop()] if len(own) == 1 and own <= set(_SPEEDS) else (0.0, math.inf)
-        return ResidualPolicy(
-            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds, coefficients
-        )
+        network, coefficients = (self.network, self.weights, self.authority), known.coefficients
+        return ResidualPolicy(expert, *network, region, self.inputs, precision, speeds, coefficients)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder and replace an older one; the folder is never incomplete.

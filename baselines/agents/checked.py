@@ -20,6 +20,7 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.namespaces import Array, Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle, with_names
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import SIZE, Observation, decode, encode
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.filters import LAGS, MEMORY_ENTRIES, ROWS, SHARED, estimate_of, filter_step, reference_step
@@ -236,9 +237,9 @@ class Checked(Batched):
         vehicle: the nominal one in the paper's units. None: the paper's.
     """
 
-    def __init__(self, policy: Policy, vehicle: Vehicle | None = None) -> None:
+    def __init__(self, policy: Policy, vehicle: Vehicle | VehicleModel | None = None) -> None:
         self.policy, self.preview = policy, preview_of(policy)
-        known = PAPER_VEHICLE if vehicle is None else vehicle
+        known = as_vehicle(vehicle or PAPER_VEHICLE)
         self._kernel = check_kernel(with_names(known.all_coefficients))
 
     def actions(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.installation import install
-from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
 from baselines.agents.names import COMMAND, agent_folder
@@ -92,8 +92,9 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     make = getattr(module, factory, None)
     if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r}")
+    known = vehicle.vehicle if isinstance(vehicle, VehicleModel) else vehicle
     try:
-        policy: Policy = make(**{**vehicle_option(make, vehicle), **options})
+        policy: Policy = make(**{**vehicle_option(make, known), **options})
     except (Exception, SystemExit) as error:
         raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
     if not callable(getattr(policy, "predict", None)):

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.policy import Policy
 from baselines.control.adaptive import Adaptive, AdaptiveGains
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, make_tuned
@@ -115,7 +116,9 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
 """Controllers by name: factory, its options, a short description. An entry here makes a name known everywhere."""
 
 
-def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
+def make_controller(
+    name: str, vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None, **options: Any
+) -> Policy:
     """Return a controller of `POLICIES`; options override those of the entry.
 
     Args:

@@ -19,9 +19,9 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios.presets import SPEED_RANGES
-from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Law
-from baselines.gains.loading import GAINS_FOLDER, load_gains
+from baselines.gains.loading import GAINS_FOLDER, adapted_gains
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
 SETS = GAINS_FOLDER / "backstepping-sets.json"  # named sets of gains
@@ -161,7 +161,7 @@ class Backstepping(Law):
     def __init__(
         self,
         gains: Gains | tuple[Gains, Gains] | str = "auto",
-        vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+        vehicle: Vehicle | VehicleModel | str | dict[str, Any] = PAPER_VEHICLE,
         horizon: float | None = None,
     ) -> None:
         if isinstance(gains, str):
@@ -202,17 +202,17 @@ class Backstepping(Law):
 
 
 def make_tuned(
-    name: str, names: Sequence[str], vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
+    name: str, names: Sequence[str], vehicle: Vehicle | VehicleModel | str | dict[str, Any] = PAPER_VEHICLE
 ) -> Backstepping:
     """Return the law with tuned gains, one set per speed range, selected by the speed of the reference.
 
     Args:
         name: the files of its gains begin with it.
         names: of its gains.
-        vehicle: nominal model of the law; an object, a name or a dict.
+        vehicle: nominal model of the law in the paper's units; an object, a name or a dict.
 
     Raises:
-        ValueError: unknown vehicle, or a file is not valid, see `load_gains`.
+        ValueError: unknown vehicle, or a file is not valid, see `adapted_gains`.
     """
-    slow, cruise = (Gains(**load_gains(name, speed_range, names)) for speed_range in SPEED_RANGES)
+    slow, cruise = (Gains(**adapted_gains(name, speed_range, names, vehicle)) for speed_range in SPEED_RANGES)
     return Backstepping((slow, cruise), vehicle)

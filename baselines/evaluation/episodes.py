@@ -82,22 +82,22 @@ def run_episodes(
 
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 1:
         raise ValueError(f"episodes is {episodes!r}; it must be an integer of at least 1")
-    known = as_scenario(scenario)
-    made: Any = make_policy(policy, known.vehicle) if isinstance(policy, str) else policy
-    cell = drawn(known, episodes, seed)
+    given = as_scenario(scenario)
+    made: Any = make_policy(policy, given.known) if isinstance(policy, str) else policy
+    cell = drawn(given, episodes, seed)
     if isinstance(made, Privileged):
-        made.prepare(known, cell.episodes)
-    env, first = beginning([(known, cell.episodes)], preview_of(made))
+        made.prepare(given, cell.episodes)
+    env, first = beginning([(given, cell.episodes)], preview_of(made))
     positions, moments, observations = [_positions(env)], [], [first]
     errors = [np.hypot(*(positions[0][:, :2] - positions[0][:, 2:]).T)]
-    for moment in play(made, (env, first), known.steps):
+    for moment in play(made, (env, first), given.steps):
         positions.append(_positions(env))
         moments.append(moment)
         observations.append(moment.following)
         errors.append(moment.error)
     running = np.array([m.running for m in moments])
     tables = [np.array(rows) for rows in (positions, observations, errors)]
-    return [_record(known, seed + i, i, int(running[:, i].sum()), moments, *tables) for i in range(episodes)]
+    return [_record(given, seed + i, i, int(running[:, i].sum()), moments, *tables) for i in range(episodes)]
 
 
 def _positions(env: Any) -> Array:

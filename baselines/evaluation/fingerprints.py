@@ -21,6 +21,7 @@ from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
 from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
+from baselines.gains.loading import EXPONENTS
 from baselines.gains.loading import GAINS_FOLDER as GAINS
 
 POLICY_PACKAGES = (
@@ -138,6 +139,8 @@ def _of_controller(name: str) -> str:
     words = {part for part in parts if isinstance(part, str)}.union(*(module.words for module in code))
     gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
     numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
+    powers = {word: own for word, own in json.loads(_bytes(EXPONENTS)).items() if word in words}
+    numbers += [json.dumps(powers, sort_keys=True)] if powers else []
     settings = [repr(part) for part in parts if not callable(part)] + [repr(sorted(options.items()))]
     return _hash([*settings, *numbers, *(module.digest for module in code)])
 

@@ -148,7 +148,7 @@ class Task:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                policy = make_policy(self.policy, self.scenario.vehicle)
+                policy = make_policy(self.policy, self.scenario.known)
                 result = rollout(policy, self.scenario, self.episodes, self.step_limit, self._progress())
             except PolicyError as exception:
                 error = printable(str(exception))

@@ -1,6 +1,8 @@
-"""Load the gains of the tuned controllers.
+"""Load the gains of the tuned controllers, and adapt them to the limits, the lag and the drag of another vehicle.
 
 Each controller has a JSON file per speed range in `baselines/gains`. The file also says where the numbers come from.
+For a vehicle with known actuators each gain at cruise is multiplied by powers of the vehicle's `RATIOS`. The file
+`EXPONENTS` has the exponents, which `python -m research gain-exponents` fits to random vehicles.
 """
 
 from __future__ import annotations
@@ -8,16 +10,26 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from auv_gym.physics.actuators import fin_share
+from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import SPEED_RANGES
-from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
 
 GAINS_FOLDER = Path(__file__).parent
 """Folder of the files of gains, NAME-SPEED_RANGE.json."""
+EXPONENTS = GAINS_FOLDER / "exponents.json"
+"""File of the exponents of the gains at cruise, by controller: for each gain those of `vehicle_ratios`."""
+RATIOS = ("thrust", "torque", "lag", "sway", "yaw", "mass")
+"""Ratios of a vehicle to the paper's vehicle, both in the paper's units: limits of the actuators at the design speed,
+their lag, drag in sway and yaw over velocity at the design speed, and m22."""
+LARGEST_RATIO = 4.0
+"""A ratio counts as at most this number and at least its inverse, so that extreme vehicles are not extrapolated to."""
 
 
 def gain_file(name: str, speed_range: str) -> Path:
@@ -47,8 +59,55 @@ def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, fl
     return {key: float(gains[key]) for key in names}
 
 
+def vehicle_ratios(vehicle_model: VehicleModel) -> list[float]:
+    """Return the logarithms of the `RATIOS` of a vehicle in the paper's units; 0 for the paper's vehicle.
+
+    Those of ratios above one come first, with 0 for the others, then those of ratios below one: a gain has an exponent
+    for stronger vehicles and one for weaker vehicles.
+    """
+    ratios = zip(_measures(vehicle_model), _measures(PAPER), strict=True)
+    logarithms = [math.log(min(max(mine / papers, 1 / LARGEST_RATIO), LARGEST_RATIO)) for mine, papers in ratios]
+    return [*(max(x, 0.0) for x in logarithms), *(min(x, 0.0) for x in logarithms)]
+
+
+def _measures(vehicle_model: VehicleModel) -> tuple[float, ...]:
+    actuators, vehicle = vehicle_model.actuators, vehicle_model.vehicle
+    torque = actuators.F_r_max * fin_share(vehicle.speed, actuators.fin, actuators.F_r_max, FLOATS)
+    lag = vehicle_model.lag or PAPER_LAG  # None: that of the paper's vehicle in the paper's units
+    _, sway, yaw = vehicle_model.drag(vehicle.speed)
+    return actuators.F_u_max, torque, lag, sway, yaw, vehicle.m22
+
+
+@cache
+def _exponents() -> Mapping[str, Mapping[str, Sequence[float]]]:
+    record = json.loads(EXPONENTS.read_text(encoding="utf-8"))
+    return {name: entry["exponents"] for name, entry in record.items()}
+
+
+def adapted_gains(name: str, speed_range: str, names: Sequence[str], vehicle: Any) -> dict[str, float]:
+    """Return the gains of a controller for a vehicle in the paper's units.
+
+    Args:
+        name: of the controller.
+        speed_range: "slow" or "cruise".
+        names: of its gains.
+        vehicle: a `VehicleModel`. For anything else, whose actuators are not known, and in slow motion the gains are
+            those of the files.
+
+    Raises:
+        ValueError: see `load_gains`.
+    """
+    gains = load_gains(name, speed_range, names)
+    if not isinstance(vehicle, VehicleModel) or speed_range != "cruise":
+        return gains
+    ratios = vehicle_ratios(vehicle)
+    for gain, powers in _exponents().get(name, {}).items():
+        gains[gain] *= math.exp(sum(power * ratio for power, ratio in zip(powers, ratios, strict=True)))
+    return gains
+
+
 def load_gains(name: str, speed_range: str, names: Sequence[str], part: str = "gains") -> dict[str, float]:
-    """Return the gains of a controller for a speed range.
+    """Return the gains of a controller for a speed range and the paper's vehicle.
 
     Args:
         name: of the controller; its files begin with it.
@@ -90,7 +149,7 @@ def tuned_policy(
     names: Sequence[str],
     controller: Callable[[Mapping[str, float], Vehicle], Controller],
     gains: Mapping[str, float] | None = None,
-    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+    vehicle: Vehicle | VehicleModel | str | dict[str, Any] = PAPER_VEHICLE,
 ) -> Remembering:
     """Return a policy that selects its gains by the speed of the reference.
 
@@ -99,7 +158,7 @@ def tuned_policy(
         names: of its gains.
         controller: returns the controller for gains and a vehicle.
         gains: used at every speed instead of the gains in the files.
-        vehicle: nominal model of the controller; an object, a name or a dict.
+        vehicle: nominal model of the controller in the paper's units; an object, a name or a dict.
 
     Raises:
         ValueError: unknown vehicle; a file or `gains` is not valid, see `load_gains` and `checked_gains`.
@@ -107,5 +166,5 @@ def tuned_policy(
     known = as_vehicle(vehicle)
     if gains is not None:
         return Remembering(controller(checked_gains(gains, names, name), known))
-    slow, cruise = (controller(load_gains(name, speed_range, names), known) for speed_range in SPEED_RANGES)
+    slow, cruise = (controller(adapted_gains(name, speed_range, names, vehicle), known) for speed_range in SPEED_RANGES)
     return Remembering(BySpeed(slow, cruise))

@@ -71,7 +71,7 @@ def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[
     stepped = [replace(s, substeps=SUBSTEPS) for s in scenarios]
     drawn = [math.floor((i + 1) * share) > math.floor(i * share) for i in range(len(scenarios))]
     return [
-        [_fitted(scenario, rng) for _ in range(SEVERAL)] if other else [scenario]
+        [drawn_model(scenario, rng)[1] for _ in range(SEVERAL)] if other else [scenario]
         for scenario, other in zip(stepped, drawn, strict=True)
     ]
 
@@ -100,13 +100,21 @@ def _on_fixed_paths(scenario: Scenario, rng: np.random.Generator) -> list[Scenar
     return [replace(scenario, path=path) for path in paths]
 
 
-def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
-    """Return a scenario of the paper's vehicle, adapted to a drawn vehicle that can follow its paths."""
+def drawn_model(scenario: Scenario, rng: np.random.Generator) -> tuple[VehicleModel, Scenario]:
+    """Return a random vehicle that can follow the paths of a scenario, and the scenario adapted to it.
+
+    Both are in the paper's units. The adapted scenario has the same number of integration steps.
+
+    Args:
+        scenario: of the paper's vehicle.
+        rng: of the draws.
+    """
     while True:
         with suppress(ValueError):  # the vehicle, its scenario or its plan is impossible
-            other = adapted(_drawn(rng), scenario)
+            model = _drawn(rng)
+            other = adapted(model, scenario)
             if other.substeps == scenario.substeps and len(_followed(other, rng, TRIALS)) >= ENOUGH:
-                return other
+                return model, other
 
 
 def _drawn(rng: np.random.Generator) -> VehicleModel:

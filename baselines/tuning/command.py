@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
-from baselines.gains.loading import checked_gains, gain_file, load_gains
+from baselines.gains.loading import adapted_gains, checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tools.files import read_json
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     budget = _checked(options)
     tunable, vehicle_model = TUNABLES[options.name], known_vehicle_model(options.vehicle)
-    start = _start(options, tunable)
+    start = _start(options, tunable, vehicle_model.in_paper_units)
     factory = partial(tunable.factory, vehicle=vehicle_model.in_paper_units.vehicle)
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
@@ -169,14 +169,16 @@ def _checked(options: Options) -> Budget:
     return budget
 
 
-def _start(options: Options, tunable: Tunable) -> GainSet:
-    """Return the initial gains of the search."""
-    part = "gains" if options.resume or options.price or options.vehicle != PAPER.name else "start"
+def _start(options: Options, tunable: Tunable, own: VehicleModel) -> GainSet:
+    """Return the initial gains of the search for a vehicle in the paper's units."""
+    part = "gains" if options.resume or options.price else "start"
     try:
         if options.start is not None:
             start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))
-        else:
+        elif own == PAPER:
             start = load_gains(options.name, options.speed_range, tunable.names, part)
+        else:
+            start = adapted_gains(options.name, options.speed_range, tunable.names, own)
     except (AttributeError, OSError) as error:
         raise UsageError(f"--start {options.start} has no gains: {error}") from error
     except ValueError as error:

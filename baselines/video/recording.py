@@ -66,7 +66,7 @@ def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> Trajectory
         ValueError: there is no such policy.
         PolicyError: the policy gave no usable action.
     """
-    policy = make_policy(name, scenario.vehicle)
+    policy = make_policy(name, scenario.known)
     if isinstance(policy, Privileged):
         policy.prepare(scenario, [episode])
     env, observation = beginning([(scenario, [episode])], preview_of(policy))

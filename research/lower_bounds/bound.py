@@ -80,7 +80,7 @@ def run_episodes(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
     """Run the optimum through episodes of a scenario, from number `first` of `OPTIMUM` on, and return the results."""
     seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
-    found = rollout(make_policy(OPTIMUM_POLICY, scenario.vehicle), scenario, cell.episodes)
+    found = rollout(make_policy(OPTIMUM_POLICY, scenario.known), scenario, cell.episodes)
     steady_rmse = found.measures.steady_rmse
     far = np.flatnonzero(~(steady_rmse < GOOD)).tolist()
     others = {policy: _steady_rmses(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
@@ -98,7 +98,7 @@ def run_episodes(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
 def _steady_rmses(policy: str, cell: Cell, indices: Sequence[int]) -> list[float]:
     """Return a policy's steady-state errors [m] in the episodes of a cell with these indices."""
     episodes = [cell.episodes[i] for i in indices]
-    found = rollout(make_policy(policy, cell.scenario.vehicle), cell.scenario, episodes)
+    found = rollout(make_policy(policy, cell.scenario.known), cell.scenario, episodes)
     steady_rmses: list[float] = found.measures.steady_rmse.tolist()
     return steady_rmses
 

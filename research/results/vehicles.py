@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import SPEED_RANGES
+from baselines.control import POLICIES
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.score import (
@@ -36,9 +37,14 @@ from research.results.collection import ROUNDING, Results, results_of
 from research.results.study_files import InSuite, Study, load_studies
 
 VEHICLES_SUITE = "vehicles-v2"  # suite of the page
+AGENT = "helm-any"  # the agent of the table by vehicle
 _FIGURE = f"results-{VEHICLES_SUITE}.png"  # file of the figure
 _CALM = "calm"  # case without a disturbance, where errors are rounding errors
 LEAST, MOST = 0.1, 10.0  # ratios at the ends of the colour scale
+_VEHICLE_HEADS = (
+    "vehicle", "best controller", f"`{AGENT}` / best", "optimum / best", f"failures: best, `{AGENT}`, optimum",
+    f"command rate / {RIVAL}", f"time [us]: best / `{AGENT}`",
+)  # fmt: skip
 _HEADS = (f"error / {RIVAL}", f"without {_CALM}", "failures")
 
 
@@ -53,11 +59,16 @@ class Pair:
         """Return the pair in the scenarios for whose names `wanted` is true."""
         return Pair(*({name: m for name, m in side.items() if wanted(name)} for side in (self.own, self.rival)))
 
+    @property
+    def capped(self) -> dict[str, Array]:
+        """Capped errors [m] of the policy's episodes, by scenario."""
+        return {name: capped(m, error_cap(name)) for name, m in self.own.items()}
+
     @cached_property
     def error(self) -> Score:
         """Geometric mean over cells of the ratio of the policy's capped mean error to the rival's."""
-        sides = ([capped(m, error_cap(name)) for name, m in side.items()] for side in (self.rival, self.own))
-        return relative_error(*sides)
+        rival = [capped(m, error_cap(name)) for name, m in self.rival.items()]
+        return relative_error(rival, [*self.capped.values()])
 
     @property
     def failed(self) -> int:
@@ -105,6 +116,8 @@ def context(_: str = "") -> dict[str, Any]:
         "rival": RIVAL,
         "rows": table(("policy", *_HEADS, "effort", "command rate"), map(_row, pairs, pairs.values())),
         "seeds": table(("agent", "seeds", *_HEADS), seeds) if seeds else "",
+        "by_vehicle": table(_VEHICLE_HEADS, vehicle_rows(pairs, results)),
+        "agent": AGENT,
         "figure": _FIGURE,
         "optimum": OPTIMUM_POLICY,
         "better": better_than_optimum(results)[:1],
@@ -114,6 +127,33 @@ def context(_: str = "") -> dict[str, Any]:
 def vehicles_of(results: Results) -> list[str]:
     """Return the vehicles in the order of the suite."""
     return list(dict.fromkeys(vehicle_of(cell.scenario.name) for cell in results.suite.cells))
+
+
+def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]:
+    """Return for each vehicle how the agent and the optimum compare with the controller of the smallest error."""
+    rows, controllers = [], [policy for policy in pairs if policy in POLICIES and policy not in FORESIGHTED]
+    for vehicle in vehicles_of(results):
+        own = {
+            policy: pair.among(lambda name, vehicle=vehicle: vehicle_of(name) == vehicle)  # type: ignore[misc]
+            for policy, pair in pairs.items()
+        }
+        best = min(controllers, key=lambda policy, own=own: own[policy].error.mean)  # type: ignore[misc]
+        shown = (AGENT, OPTIMUM_POLICY)
+        ratios = (relative_error(*([*own[p].capped.values()] for p in (best, policy))) for policy in shown)
+        failed = ", ".join(str(own[policy].failed) for policy in (best, *shown))
+        times = (_decision_time(results, policy, vehicle) for policy in (best, AGENT))
+        rows.append([
+            f"`{vehicle}`", f"`{best}`", *(f"{_ratio(r.mean)} ({fixed_ends(r.ci95, 2)})" for r in ratios),
+            f"{failed} of {own[best].episodes}", _ratio(own[AGENT].over("smoothness")),
+            " / ".join(f"{1e6 * time:.3g}" for time in times),
+        ])  # fmt: skip
+    return rows
+
+
+def _decision_time(results: Results, policy: str, vehicle: str) -> float:
+    """Return the median over cells of the time of a decision [s]."""
+    cells = (run for run in results.runs if run.policy == policy and vehicle_of(run.scenario.name) == vehicle)
+    return float(np.median([run.decision_seconds for run in cells]))
 
 
 def _row(policy: str, pair: Pair) -> list[str]:

@@ -84,7 +84,7 @@ def _run(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[in
         PolicyError: the actions of the policy are not finite.
     """
     cell = drawn(scenario, episodes, FAILURE_RATE.first + first)
-    found = rollout(make_policy(policy, scenario.vehicle), scenario, cell.episodes).measures
+    found = rollout(make_policy(policy, scenario.known), scenario, cell.episodes).measures
     return episodes, count_failures(found, error_cap(scenario.name)), float(found.steady_rmse.max())
 
 

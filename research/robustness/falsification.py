@@ -113,7 +113,7 @@ def failure_margins(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
-        ended = SideBySide(cells).run(make_policy(search.policy, cells[0].scenario.vehicle))
+        ended = SideBySide(cells).run(make_policy(search.policy, cells[0].scenario.known))
     steady_rmses = [capped(e, cap) for e in ended]
     failed = [count_failures(e, cap) for e in ended]
     return np.log(np.array([np.quantile(t, 0.5, method="lower") for t in steady_rmses]) / cap), np.array(failed)

@@ -89,7 +89,7 @@ def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, NDArray[np.
     steady_rmses, failed = [], []
     for first in range(0, len(cell.episodes), _BATCH):
         part = Cell(cell.scenario, cell.episodes[first : first + _BATCH])
-        (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.vehicle))
+        (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.known))
         failed.append(has_failed(ended, cap))
         steady_rmses.append(capped(ended, cap))
     return np.concatenate(steady_rmses), np.concatenate(failed)

@@ -102,7 +102,7 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
     for case in _DISTURBED:
         scenario = preset(f"cruise-{case}@{vehicle}")
         found = drawn(scenario, episodes, FINE_TUNING.first)
-        measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
+        measures = rollout(make_policy(policy, scenario.known), scenario, found.episodes).measures
         own, cap = in_paper_metres(measures, scenario), error_cap(scenario.name)
         steady_rmses.append([float(f"{x:.4g}") for x in capped(own, cap)])
         failed += count_failures(own, cap)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from auv_gym.scenarios.names import SPEED_RANGES
-from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_model, vehicle_names
+from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, vehicle_model, vehicle_names
 from baselines.gains.loading import GAINS_FOLDER
 from baselines.tools.files import read_json
 from baselines.tuning.tunables import TUNABLES
@@ -26,7 +26,7 @@ def published_vehicles() -> str:
 def _row(c: VehicleModel) -> tuple[str, ...]:
     v, act, U = c.vehicle, c.actuators, c.vehicle.speed
     torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
-    lag = 0.2 * v.time / PAPER.vehicle.time if c.lag is None else c.lag
+    lag = PAPER_LAG * v.time / PAPER.vehicle.time if c.lag is None else c.lag
     _, sway, yaw = c.drag(U)
     numbers = v.length, U, act.F_u_max, torque, lag, v.m22 / v.m11, sway / v.m22, yaw / v.m33, torque / v.m11 / U**2
     return f"`{c.name}`", c.about, *(f"{number:.3g}" for number in numbers)

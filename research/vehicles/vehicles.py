@@ -1,14 +1,14 @@
 """What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`, docs/vehicle-gains.md.
 
-`scaling` compares policies that are made for a vehicle in its own units with policies that have the vehicle model and
-the gains of the paper's vehicle. `search` compares the gains from the parameters with those of a search for the
-vehicle, on episodes that the search has not seen. `agent` runs an agent and predictive control with either gains.
-Errors are mean steady-state errors, capped as in the score, as a share of the vehicle's length scale.
+`search` compares the gains from the parameters with those of a search for the vehicle, and with the gains of the
+paper's vehicle in the vehicle's units, on episodes that the search has not seen. `agent` runs an agent and predictive
+control with the first two. Errors are mean steady-state errors, capped as in the score, as a share of the vehicle's
+length scale.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,18 +19,10 @@ from scipy import stats
 from tyro.conf import Positional, UseAppendAction, arg
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.units import Units
-from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_names
-from auv_gym.task.policy import Policy
-from baselines.control import POLICIES, make_controller
+from auv_gym.scenarios.vehicles import VehicleModel, vehicle_names
 from baselines.evaluation.metrics import RESAMPLES
-from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import ERROR_CAPS, RIVAL, capped, count_failures
-from baselines.gains.loading import load_gains
+from baselines.evaluation.score import RIVAL
+from baselines.gains.loading import adapted_gains, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -42,13 +34,12 @@ from research import DOCS
 
 PROGRAM = "python -m research vehicle-gains"
 VEHICLES_FILE = "vehicles.json"  # of what was measured, in docs/
-SEARCHED_SCENARIO = "cruise-storm"  # that `scaling` runs
 _SPEED_RANGE = "cruise"  # that `search` tunes for; vehicles with fins have no other
-_SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
-"""Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
 MEASURED_AGENT = "helm-any"  # the agent that `agent` runs
+KINDS = ("units", "parameters", "searched")
+"""Gains: those of the paper's vehicle in the vehicle's units, those adapted to its ratios too, and searched ones."""
 SIDES = ("parameters", "searched", MEASURED_AGENT)
 """The compared policies: predictive control with gains from the parameters and with searched ones, and the agent."""
 NEAR_SEARCHED = 1.2
@@ -62,15 +53,14 @@ class Options:
     Exit status: 0 done, 2 wrong usage.
     """
 
-    what: Annotated[Positional[Literal["scaling", "search", "agent"]], arg(metavar="scaling|search|agent")]
-    """Against the gains of the paper's vehicle, or against a search for the vehicle; or an agent against what a search
-    found for nmpc."""
+    what: Annotated[Positional[Literal["search", "agent"]], arg(metavar="search|agent")]
+    """Against a search for the vehicle; or an agent against what a search found for nmpc."""
     vehicle: UseAppendAction[tuple[str, ...]] = ()
     """A vehicle's name; may be given again. None: all published vehicles."""
     policy: UseAppendAction[tuple[str, ...]] = ()
     """A controller's name; may be given again."""
     held_out: int = 64
-    """Episodes on which is compared; of a search a multiple of 8."""
+    """Episodes on which is compared, a multiple of 8."""
     evaluations: int = 108
     """How often episodes are run to find gains."""
     episodes: int = 16
@@ -79,52 +69,35 @@ class Options:
     """File for what is found."""
 
 
-def scaling(vehicle_model: VehicleModel, names: Sequence[str], episodes: int) -> dict[str, Any]:
-    """Return the errors of each policy in the storm, given the vehicle model only (before) and made for it (after)."""
-    scenario = changed(PRESETS[SEARCHED_SCENARIO], None if vehicle_model == PAPER else vehicle_model)
-    cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(vehicle_model.vehicle).length
-    cap = ERROR_CAPS[_SPEED_RANGE] * length
-
-    def done(make: Callable[[str, Vehicle], Policy], name: str) -> dict[str, float]:
-        measures = rollout(make(name, vehicle_model.vehicle), scenario, cell.episodes).measures
-        steady_rmse = capped(measures, cap)
-        spread = stats.bootstrap(
-            (steady_rmse,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(0), batch=256
-        )
-        ends = (end / vehicle_model.vehicle.length for end in spread.confidence_interval)
-        return {
-            "error": steady_rmse.mean() / vehicle_model.vehicle.length,
-            "interval": list(ends),
-            "failed": count_failures(measures, cap),
-        }
-
-    made = {name: {"after": done(make_policy, name), "before": done(make_controller, name)} for name in names}
-    return {"episodes": episodes, "policies": made}
-
-
 def searched(vehicle_model: VehicleModel, name: str, options: Options) -> dict[str, Any]:
     """Return what a search for the gains of a controller finds, and how the gains from parameters compare."""
     own, tunable = vehicle_model.in_paper_units, TUNABLES[name]
     factory = partial(tunable.factory, vehicle=own.vehicle)
-    start, budget = load_gains(name, _SPEED_RANGE, tunable.names), Budget(options.evaluations, options.episodes)
+    plain, start = from_parameters(name, own)
+    budget = Budget(options.evaluations, options.episodes)
 
     def courses(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(_SPEED_RANGE, episodes, seed, tunable.world, own)
 
     gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
     held_out = courses(options.held_out, VALIDATION_SEED)
-    (mine, failed, _), (theirs, failed_there, _) = (held_out.steady_rmses(factory(dict(g))) for g in (start, gains))
+    ended = [held_out.steady_rmses(factory(dict(each))) for each in (plain, start, gains)]
+    _, mine, theirs = (steady_rmse for steady_rmse, _, _ in ended)
     return {
         "budget": [options.evaluations, options.episodes],
         "episodes": options.held_out,
-        "error": mine.mean() / own.vehicle.length,
-        "failed": int(failed.sum()),
-        "searched_error": theirs.mean() / own.vehicle.length,
-        "searched_failed": int(failed_there.sum()),
+        "error": {kind: e.mean() / own.vehicle.length for kind, (e, _, _) in zip(KINDS, ended, strict=True)},
+        "failed": {kind: int(failed.sum()) for kind, (_, failed, _) in zip(KINDS, ended, strict=True)},
         "ratio": mine.mean() / theirs.mean(),
         "interval": ratio_interval(mine, theirs),
         "gains": gains,
     }
+
+
+def from_parameters(name: str, own: VehicleModel) -> tuple[dict[str, float], dict[str, float]]:
+    """Return a controller's gains for a vehicle in the paper's units: those of the paper's vehicle, and the adapted."""
+    names = TUNABLES[name].names
+    return load_gains(name, _SPEED_RANGE, names), adapted_gains(name, _SPEED_RANGE, names, own)
 
 
 def beside(vehicle_model: VehicleModel, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
@@ -137,8 +110,7 @@ def beside(vehicle_model: VehicleModel, gains: Mapping[str, float], episodes: in
     """
     own, tunable = vehicle_model.in_paper_units, TUNABLES[RIVAL]
     course = TuningEpisodes(_SPEED_RANGE, episodes, VALIDATION_SEED, tunable.world, own)
-    start = load_gains(RIVAL, _SPEED_RANGE, tunable.names)
-    controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
+    controllers = (tunable.factory(dict(g), vehicle=own.vehicle) for g in (from_parameters(RIVAL, own)[1], gains))
     ended = [course.steady_rmses(policy) for policy in (*controllers, make_policy(MEASURED_AGENT, vehicle=own.vehicle))]
     return {
         "steady_rmses": {
@@ -171,16 +143,10 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    vehicle_models = [known_vehicle_model(name) for name in options.vehicle or (("paper", *vehicle_names()))]
+    vehicle_models = [known_vehicle_model(name) for name in options.vehicle or vehicle_names()]
     _check(options)
     record = read_json(options.out) if options.out.exists() else {}
     for vehicle_model in vehicle_models:
-        if options.what == "scaling":
-            found = {
-                "scaling": {vehicle_model.name: scaling(vehicle_model, options.policy or _SCALED, options.held_out)}
-            }
-            record = _merged(record, found, options.out)
-            continue
         if options.what == "agent":
             gains = _found(record, vehicle_model.name)["gains"]
             record = _merged(
@@ -213,14 +179,12 @@ def _check(options: Options) -> None:
         raise UsageError(
             f"--policy {options.policy[0]} makes no sense here: {MEASURED_AGENT} runs, and {RIVAL}; leave it out"
         )
-    allowed = POLICIES if options.what == "scaling" else TUNABLES
     for name in options.policy:
-        if name not in allowed:
-            raise UsageError(f"unknown controller {name!r}; allowed are {', '.join(allowed)}")
-    turns = 1 if options.what == "scaling" else 8
+        if name not in TUNABLES:
+            raise UsageError(f"unknown controller {name!r}; allowed are {', '.join(TUNABLES)}")
     for word in ("held_out", "episodes"):
-        if (number := getattr(options, word)) < 2 or number % turns:
-            raise UsageError(f"--{word} is {number}; it must be a positive multiple of {turns}, 2 at least")
+        if (number := getattr(options, word)) < 1 or number % 8:
+            raise UsageError(f"--{word} is {number}; it must be a positive multiple of 8")
     if options.evaluations < 0 or Budget(options.evaluations, options.episodes).last_seed > VALIDATION_SEED:
         raise UsageError(
             f"--evaluations is {options.evaluations}; it must be at least 0, and less than use up the seeds"

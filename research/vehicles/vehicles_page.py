@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
@@ -16,11 +17,12 @@ from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_model, vehic
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import linearise
 from baselines.evaluation.score import RIVAL, Score, relative_error
+from baselines.gains.loading import EXPONENTS
 from baselines.policies import make_policy
 from baselines.similar import SimilarLaw
 from baselines.tools.files import read_json
 from research import DOCS
-from research.vehicles.vehicles import MEASURED_AGENT, NEAR_SEARCHED, SEARCHED_SCENARIO, SIDES, VEHICLES_FILE
+from research.vehicles.vehicles import KINDS, MEASURED_AGENT, NEAR_SEARCHED, SIDES, VEHICLES_FILE
 
 _SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
 """Path speeds at which the expert is examined, as shares of the design speed."""
@@ -68,21 +70,6 @@ def stability_table() -> str:
     return _table(["vehicle", "speeds [m/s]", "half-life of the slowest error [s]"], rows)
 
 
-def scaling_table(record: Mapping[str, Any]) -> str:
-    """Return the errors [% of L] with the gains of the paper's vehicle and with gains for the vehicle."""
-    names = list(next(iter(record.values()))["policies"])
-    rows = [
-        [f"`{vehicle}`", *(_change(entry["policies"][name]) for name in names)]
-        for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
-    ]
-    return _table(["vehicle", *(f"`{name}`" for name in names)], rows)
-
-
-def _change(entry: Mapping[str, Any]) -> str:
-    before, after = (_percent(entry[key]["error"], entry[key]["failed"]) for key in ("before", "after"))
-    return after if before == after else f"{before} → **{after}**"
-
-
 def _percent(error: float, failed: int) -> str:
     return f"{100 * error:.3g}" + (f" ({failed})" if failed else "")
 
@@ -93,14 +80,23 @@ def search_table(record: Mapping[str, Any]) -> str:
         [
             f"`{vehicle}`",
             f"`{name}`",
-            _percent(found["error"], found["failed"]),
-            _percent(found["searched_error"], found["searched_failed"]),
+            *(_percent(found["error"][kind], found["failed"][kind]) for kind in KINDS),
             _ratio(Score(found["ratio"], tuple(found["interval"]))),
         ]
-        for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
+        for vehicle, entry in record.items()
         for name, found in entry.items()
     ]
-    return _table(["vehicle", "controller", "from parameters", "searched", "ratio"], rows)
+    return _table(["vehicle", "controller", "by units", "from parameters", "searched", "ratio"], rows)
+
+
+def exponents_section() -> str:
+    """Return how the errors on random vehicles change with the exponents of gains, as a table in Markdown."""
+    rows = []
+    for name, entry in read_json(EXPONENTS).items():
+        check = entry["check"]
+        ratios = f"{check['ratio']:.2f}", f"{100 * check['worse']:.0f} %", f"{check['largest']:.1f}"
+        rows.append([f"`{name}`", *ratios])
+    return _table(["controller", "geometric mean", "share of vehicles above 1.02", "largest"], rows)
 
 
 def gains_section() -> str:
@@ -110,38 +106,30 @@ def gains_section() -> str:
         "### Stability\n\nThe expert is locally stable on each vehicle in still water, on straight lines and in turns "
         "as fast as those of the presets:"
     )
-    parts = (stable, stability_table(), *_scaling(record["scaling"]), *_search(record["search"]), *_agent(record))
+    parts = (stable, stability_table(), *_search(record["search"]), *_agent(record))
     return "\n\n".join(parts)
 
 
-def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
-    first = next(iter(record.values()))
-    errors = [p[key] for e in record.values() for p in e["policies"].values() for key in ("before", "after")]
-    widest = max((e["interval"][1] - e["interval"][0]) / 2 / e["error"] for e in errors)
-    says = (
-        f"### Gains of the paper's vehicle\n\n`{SEARCHED_SCENARIO}`, {first['episodes']} episodes on each of "
-        f"{len(record)} vehicles: mean steady-state error in per cent of L, with failures at the error cap, and in "
-        "parentheses the number of failures. Left of the arrow the policy has the vehicle model and the gains of the "
-        "paper's vehicle, right of it the gains follow the vehicle. 95 % intervals (bootstrap over episodes) reach "
-        f"up to {100 * widest:.0f} % of the mean on each side."
-    )
-    return says, scaling_table(record)
-
-
 def _search(record: Mapping[str, Any]) -> tuple[str, str]:
-    found = [x for name, entry in record.items() if name != "paper" for x in entry.values()]
-    near = sum(x["ratio"] <= NEAR_SEARCHED for x in found)
-    middle = math.exp(sum(math.log(x["ratio"]) for x in found) / len(found))
+    found = [x for entry in record.values() for x in entry.values()]
+    near, near_units = (sum(_over_searched(x, kind) <= NEAR_SEARCHED for x in found) for kind in KINDS[1::-1])
+    mean, mean_units = (statistics.geometric_mean([_over_searched(x, kind) for x in found]) for kind in KINDS[1::-1])
     (evaluations, episodes), held_out = found[0]["budget"], found[0]["episodes"]
     within = f"{100 * (NEAR_SEARCHED - 1):.0f} %"
     says = (
         f"### Gains from a search\n\nA search for one vehicle has {evaluations} evaluations of {episodes} episodes in "
-        f"all cruise cases and begins at the gains from the parameters. Both then run {held_out} other episodes. In "
-        f"{near} of {len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of "
-        f"the searched ones. The geometric mean of the ratios is {middle:.2f}. A longer search could find better "
-        "gains. Errors are in per cent of L, with failures in parentheses:"
+        f"all cruise cases and begins at the gains from the parameters. All run {held_out} other episodes. In {near} "
+        f"of {len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of the "
+        f"searched ones. The geometric mean of the ratios is {mean:.2f}. With the gains of the paper's vehicle in the "
+        f"vehicle's units these are {near_units} pairs and {mean_units:.2f}. A longer search could find better gains. "
+        "Errors are in per cent of L, with failures in parentheses:"
     )
     return says, search_table(record)
+
+
+def _over_searched(found: Mapping[str, Any], kind: str) -> float:
+    """Return the ratio of the error with gains of a kind to that with searched gains."""
+    return float(found["error"][kind] / found["error"][KINDS[-1]])
 
 
 def _agent(record: Mapping[str, Any]) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Forces for a fixed sequence of observations: their recorded values, and their change with 5 % of any gain."""
+"""Gains: forces for a fixed sequence of observations, their change with 5 % of any gain, gains of other vehicles."""
 
 import json
 from dataclasses import replace
@@ -10,12 +10,16 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import SPEED_RANGES
+from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, vehicle_model
 from auv_gym.task.observation import SIZE, Observation
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
+from baselines.control.los_pid import PIDGains
 from baselines.control.nmpc.controller import PREVIEW
 from baselines.control.privileged.oracle import REGULATORS, regulator
-from baselines.gains.loading import gain_file
+from baselines.gains import loading
+from baselines.gains.loading import RATIOS, gain_file, vehicle_ratios
+from baselines.tuning.tunables import TUNABLES
 
 U, DT = np.array([0.2, 1.0]), np.array([0.2, 0.1])
 """Reference speed [m/s] and control period [s] of two vehicles, one in each speed range."""
@@ -137,3 +141,44 @@ def test_every_gain_of_the_files_has_an_effect(name):
 def test_weights_of_the_oracle(speed_range, speed):
     found = regulator(PAPER_VEHICLE, speed, REGULATORS[speed_range], Units())[:, :3]
     np.testing.assert_allclose(found, REGULATED[speed_range], rtol=1e-6, atol=1e-9)
+
+
+def test_the_ratios_of_a_vehicle_are_bounded_and_zero_for_the_papers_vehicle():
+    assert vehicle_ratios(PAPER) == [0.0] * 2 * len(RATIOS)
+    actuators = replace(PAPER.actuators, F_u_max=800.0, fin=20.0)  # full fins give 20 * 1.5^2 = 45 N m
+    stronger = replace(PAPER, actuators=actuators, lag=0.1, vehicle=replace(PAPER_VEHICLE, d22=1000.0))
+    above, below = np.reshape(vehicle_ratios(stronger), (2, len(RATIOS)))
+    np.testing.assert_allclose(np.exp(above), (2.0, 1.0, 1.0, 4.0, 1.0, 1.0))
+    np.testing.assert_allclose(np.exp(below), (1.0, 0.25, 0.5, 1.0, 1.0, 1.0))  # 45 of 200 N m count as a quarter
+
+
+def test_gains_follow_the_ratios_at_cruise_if_the_actuators_are_known(monkeypatch):
+    entry = {"heading": [0.5, 1.0, *[0.0] * 10], "turn": [0.0] * 8 + [-2.0, 0.0, 0.0, 0.0]}
+    monkeypatch.setattr(loading, "_exponents", lambda: {"los-pid": entry})
+    plain = loading.load_gains("los-pid", "cruise", PIDGains._fields)
+    stronger = replace(PAPER, actuators=replace(PAPER.actuators, F_u_max=1600.0, F_r_max=300.0), lag=0.1)
+    adapted = loading.adapted_gains("los-pid", "cruise", PIDGains._fields, stronger)
+    factors = {name: adapted[name] / gain for name, gain in plain.items()}
+    expected = dict.fromkeys(plain, 1.0) | {"heading": 4**0.5 * 1.5, "turn": 0.5**-2}
+    assert factors == pytest.approx(expected)
+    assert loading.adapted_gains("los-pid", "cruise", PIDGains._fields, stronger.vehicle) == plain
+    slow = loading.load_gains("los-pid", "slow", PIDGains._fields)
+    assert loading.adapted_gains("los-pid", "slow", PIDGains._fields, stronger) == slow
+
+
+def test_every_exponent_is_of_a_gain():
+    for name, entry in loading._exponents().items():
+        assert tuple(entry) == tuple(TUNABLES[name].names)
+        assert {len(powers) for powers in entry.values()} == {2 * len(RATIOS)}
+
+
+def test_the_actuators_of_a_published_vehicle_and_of_a_file_are_known(tmp_path):
+    def heading(vehicle):
+        return make_policy("los-pid", vehicle=vehicle).policy.controller.cruise.gains.heading
+
+    lauv = vehicle_model("lauv")
+    file = tmp_path / "mine.toml"
+    file.write_text((VEHICLES_FOLDER / "lauv.toml").read_text())
+    assert len({heading(known) for known in ("lauv", lauv, lauv.vehicle, str(file))}) == 1
+    other = replace(lauv.vehicle, d11=1.01 * lauv.vehicle.d11)
+    assert heading(other) == loading.load_gains("los-pid", "cruise", PIDGains._fields)["heading"] != heading(lauv)

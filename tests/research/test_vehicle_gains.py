@@ -16,11 +16,12 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from baselines import make_policy
 from baselines.control.linearisation import linearise
+from baselines.gains.loading import RATIOS
 from baselines.tools.command_line import run
 from baselines.tuning.objective import TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import TUNING_SEED
 from baselines.tuning.tunables import TUNABLES
-from research.vehicles import vehicles, vehicles_page
+from research.vehicles import exponents, vehicles, vehicles_page
 
 ROOT = Path(__file__).parents[2]
 SLIP = 0.25  # [rad] largest sideslip in the turns of random vehicles
@@ -84,7 +85,7 @@ def test_the_ratio_of_means_and_its_interval():
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["scaling", "--vehicle", "nautilus"], "unknown vehicle 'nautilus'; allowed are paper, cybership2"),
+        (["search", "--vehicle", "nautilus"], "unknown vehicle 'nautilus'; allowed are paper, cybership2"),
         (["search", "--policy", "helm"], "unknown controller 'helm'; allowed are backstepping-tuned"),
         (["search", "--episodes", "12"], "--episodes is 12; it must be a positive multiple of 8"),
         (["search", "--evaluations", "-1"], "--evaluations is -1; it must be at least 0"),
@@ -101,13 +102,11 @@ def test_the_command_adds_its_results_to_the_file(tmp_path):
     out.write_text(json.dumps({"search": {"otter": {"lqi": {"ratio": 1.0}}}}))
     few = ["--vehicle", "otter", "--policy", "los-pid", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["search", "--evaluations", "0", "--episodes", "8", *few]) == 0
-    assert run(vehicles.main, vehicles.PROGRAM, ["scaling", *few]) == 0
     record = json.loads(out.read_text())
     assert set(record["search"]["otter"]) == {"lqi", "los-pid"}
-    assert record["search"]["otter"]["los-pid"]["ratio"] == pytest.approx(1.0)  # nothing was searched
-    found = record["scaling"]["otter"]["policies"]["los-pid"]
-    assert set(found) == {"before", "after"}
-    assert found["before"]["error"] != found["after"]["error"]
+    found = record["search"]["otter"]["los-pid"]
+    assert found["ratio"] == pytest.approx(1.0)  # nothing was searched
+    assert found["error"]["units"] != found["error"]["parameters"] == found["error"]["searched"]
 
 
 def test_an_agent_is_compared_with_predictive_control_with_both_gains(tmp_path, capsys):
@@ -116,7 +115,7 @@ def test_an_agent_is_compared_with_predictive_control_with_both_gains(tmp_path, 
     few = ["--vehicle", "otter", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
     assert f"no gains of nmpc are searched for otter: run {vehicles.PROGRAM} search" in capsys.readouterr().err
-    gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
+    _, gains = vehicles.from_parameters("nmpc", vehicle_model("otter").in_paper_units)
     out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0
     record = json.loads(out.read_text())
@@ -129,10 +128,66 @@ def test_an_agent_is_compared_with_predictive_control_with_both_gains(tmp_path, 
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
 
-def test_for_the_papers_vehicle_scaling_changes_nothing():
-    found = vehicles.scaling(PAPER, ["los-pid"], 8)["policies"]["los-pid"]
-    assert found["before"] == found["after"]
+def test_for_the_papers_vehicle_nothing_is_adapted():
+    for name in vehicles.SEARCHED:
+        plain, adapted = vehicles.from_parameters(name, PAPER)
+        assert plain == adapted
     assert replace(PAPER_VEHICLE) == PAPER.vehicle
+
+
+class Quadratic:
+    """Vehicles whose loss is a quadratic function of the changes of the gains, least at given exponents."""
+
+    def __init__(self, seed, exponents):
+        self.ratios = np.random.default_rng(seed).uniform(-1.0, 1.0, (64, len(exponents)))
+        self.best = self.ratios @ exponents
+
+    def losses(self, tunable, start, changes):
+        assert list(start) == list(tunable.names)
+        return np.square(changes - self.best).sum(axis=1)
+
+
+def test_the_fit_finds_the_exponents_of_a_known_optimum(monkeypatch):
+    monkeypatch.setattr(exponents, "_DECAY", 0.0)
+    best = np.random.default_rng(1).uniform(-0.5, 0.5, (12, len(TUNABLES["backstepping-tuned"].names)))
+    found = exponents.fitted("backstepping-tuned", 200, [Quadratic(seed, best) for seed in range(3)])
+    assert np.abs(found.T - best).max() < 0.1
+
+
+def test_the_exponents_of_one_controller_do_not_change_the_others(tmp_path, monkeypatch):
+    file = tmp_path / "exponents.json"
+    file.write_text(json.dumps({"lqi": {"exponents": {}}}))
+    monkeypatch.setattr(exponents, "EXPONENTS", file)
+    monkeypatch.setattr(exponents, "_CHECK", (2, 1))
+    words = ["los-pid", "--steps", "1", "--vehicles", "1", "--sets", "1"]
+    assert run(exponents.main, exponents.PROGRAM, words) == 0
+    record = json.loads(file.read_text())
+    assert record["lqi"] == {"exponents": {}}
+    assert record["los-pid"]["command"] == f"{exponents.PROGRAM} {' '.join(words)}"
+    assert list(record["los-pid"]["exponents"]) == list(TUNABLES["los-pid"].names)
+    assert {len(powers) for powers in record["los-pid"]["exponents"].values()} == {2 * len(RATIOS)}
+    assert record["los-pid"]["check"]["vehicles"] == 2
+
+
+def test_the_check_compares_with_no_exponents():
+    best = np.zeros((12, len(TUNABLES["lqi"].names)))
+    found = exponents.checked("lqi", best.T + 0.1, Quadratic(0, best))
+    growth = np.square(0.1 * Quadratic(0, best).ratios.sum(axis=1)) * best.shape[1]
+    assert found["ratio"] == pytest.approx(np.exp(growth.mean()), abs=1e-3)
+    assert found["largest"] == pytest.approx(np.exp(growth.max()), rel=1e-3)
+    assert found["worse"] == pytest.approx(np.mean(growth > np.log(1.02)), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["helm"], "unknown controller 'helm'; allowed are backstepping-tuned"),
+        (["lqi", "--steps", "0"], "--steps is 0; it must be at least 1"),
+    ],
+)
+def test_wrong_usage_of_the_fit_is_one_line(arguments, says, capsys):
+    assert run(exponents.main, exponents.PROGRAM, arguments) == 2
+    assert says in capsys.readouterr().err
 
 
 def test_the_readme_compares_the_agent_with_searched_gains():

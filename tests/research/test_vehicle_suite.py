@@ -264,3 +264,21 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
         for policy in ("helm-any", "nmpc")
     )
     assert (len(finned), sum(a > b for a, b in zip(own, rival, strict=True))) == (4, 2)
+
+
+def test_the_table_by_vehicle_has_the_controller_of_the_smallest_error():
+    results = vehicles.results_of(vehicles.VEHICLES_SUITE)
+    rows = {row[0].strip("`"): row for row in vehicles.vehicle_rows(vehicles.pairs_of(results), results)}
+    assert list(rows) == vehicle_names()
+
+    def mean(policy, vehicle):
+        """Return the geometric mean over the cells of a vehicle of the mean capped error."""
+        cells = [(name, case) for name, case in results.cases.items() if vehicle_of(name) == vehicle]
+        caps = [0.6 if name.startswith("slow") else 2.0 for name, _ in cells]
+        errors = [np.minimum(case[policy].steady_rmse, cap).mean() for (_, case), cap in zip(cells, caps, strict=True)]
+        return np.exp(np.log(errors).mean())
+
+    for vehicle, (_, best, ratio, *_) in rows.items():
+        errors = {p: mean(p, vehicle) for p in ("nmpc", "nmpc-adverse", "ekf", "los-pid", "ilos", "lqi", "smc-dob")}
+        assert min(errors, key=errors.get) == best.strip("`")
+        assert float(ratio.split()[0]) == pytest.approx(mean(vehicles.AGENT, vehicle) / min(errors.values()), rel=0.02)

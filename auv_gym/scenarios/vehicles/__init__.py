@@ -81,6 +81,8 @@ class VehicleModel:
             return from_record(cls, read_table(FilePath(file)), "vehicle file")
 
 
+PAPER_LAG = 0.2
+"""Nominal lag [s] of the actuators of the paper's vehicle."""
 PAPER = VehicleModel(
     name="paper",
     about="the paper's vehicle",
@@ -90,7 +92,7 @@ PAPER = VehicleModel(
     vehicle=PAPER_VEHICLE,
     actuators=Actuators(F_u_max=400.0, F_r_max=200.0),
     turn_rate=0.12,
-    lag=0.2,
+    lag=PAPER_LAG,
 )
 """The vehicle of the presets."""
 
@@ -123,6 +125,19 @@ def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
     if not isinstance(vehicle, str) or vehicle in VEHICLES:
         return None
     return vehicle_model(vehicle) if vehicle in vehicle_names() or vehicle.endswith((".toml", ".json")) else None
+
+
+def vehicle_model_of(vehicle: Any) -> VehicleModel | None:
+    """Return the vehicle model for an object, a name, a file, or a `Vehicle` with the parameters of a published one.
+
+    None for anything else: then the limits and the lag of its actuators are not known.
+    """
+    return _published().get(vehicle) if isinstance(vehicle, Vehicle) else as_vehicle_model(vehicle)
+
+
+@cache
+def _published() -> dict[Vehicle, VehicleModel]:
+    return {vehicle_model(name).vehicle: vehicle_model(name) for name in vehicle_names()}
 
 
 def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Vehicle:

@@ -65,7 +65,7 @@ def _kept(file: Path) -> dict[str, AnchorErrors]:
 def _capped_rmse(name: str, cell: Cell) -> Array:
     """Return the capped steady-state RMSE [m] of an anchor in each episode; infinite if the oracle cannot run."""
     try:
-        measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
+        measures = rollout(make_policy(name, cell.scenario.known), cell.scenario, cell.episodes, math.inf).measures
     except (PolicyError, ValueError):
         if name == BY_ORACLE.zero:
             raise
