@@ -9,7 +9,8 @@ import pytest
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.scenarios.presets import SPEED_RANGES
+from auv_gym.scenarios.presets import SPEED_RANGES, as_scenario
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, vehicle_model
 from auv_gym.task.observation import SIZE, Observation
 from baselines import make_policy
@@ -182,3 +183,16 @@ def test_the_actuators_of_a_published_vehicle_and_of_a_file_are_known(tmp_path):
     assert len({heading(known) for known in ("lauv", lauv, lauv.vehicle, str(file))}) == 1
     other = replace(lauv.vehicle, d11=1.01 * lauv.vehicle.d11)
     assert heading(other) == loading.load_gains("los-pid", "cruise", PIDGains._fields)["heading"] != heading(lauv)
+
+
+def test_a_scenario_for_a_vehicle_file_knows_the_actuators_and_its_record_does_not(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text((VEHICLES_FOLDER / "lauv.toml").read_text().replace("d11 = ", "d11 = 1"))
+    scenario = as_scenario(f"cruise-storm@{file}")
+    assert scenario.known == vehicle_model(str(file))
+    assert replace(scenario, vehicle=PAPER_VEHICLE).known == PAPER_VEHICLE
+    again = Scenario.from_dict(scenario.to_dict())
+    assert again == scenario
+    assert again.known == scenario.vehicle
+    with pytest.raises(ValueError, match="scenario has no entry 'model'"):
+        Scenario.from_dict({"model": {}})

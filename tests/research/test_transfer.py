@@ -230,17 +230,17 @@ def kept():
 
 def test_the_sentences_of_the_page_are_true(kept):
     remus, boat = kept["remus100"], kept["otter"]
-    for vehicle in (remus, boat):
-        assert vehicle["tau"]["ci95"][0] < comparison.TAU < vehicle["tau"]["ci95"][1]
-    assert 0.95 * comparison.TAU < boat["tau"]["all"] < comparison.TAU < remus["tau"]["all"]
+    assert remus["tau"]["ci95"][0] < 0.95 * comparison.TAU < remus["tau"]["all"] < comparison.TAU
+    assert boat["tau"]["ci95"][1] < comparison.TAU
+    best = sorted(boat["policies"], key=lambda name: boat["policies"][name]["plane_m"])[:4]
+    assert all(boat["policies"][name]["growth"] > 1.3 for name in best)
     for turn in remus["trials"]["turns"]:
         assert turn["space"] / turn["plane"] == pytest.approx(1.0, abs=0.05)
     growth = [own["growth"] for own in remus["policies"].values()]
     assert 0.9 < np.median(growth) < 1.0
-    for policy in ("lqi", "adaptive"):
+    for policy in ("lqi", "adaptive", "smc-dob"):
         assert min(remus["policies"][policy][place] for place in ("lost_plane", "lost_space")) > 20
     assert max(boat["policies"], key=lambda name: boat["policies"][name]["growth"]) == "helm-any"
-    adaptive = boat["policies"]["adaptive"]
-    assert [case for case, growth in adaptive["growth_by_case"].items() if growth >= 1] == ["storm"]
+    assert min(boat["policies"][policy]["growth"] for policy in ("smc-dob", "ilos")) > 3
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
