@@ -21,7 +21,7 @@ from tyro.conf import Positional, arg
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
 from baselines.gains.loading import adapted_gains, checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, parse, typed
+from baselines.tools.command_line import DONE, UsageError, check_words, parse, typed
 from baselines.tools.files import read_json
 from baselines.tuning.objective import TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
@@ -149,8 +149,7 @@ def _validated(speed_range: str, tunable: Tunable, gains: GainSet, vehicle_model
 
 def _checked(options: Options) -> Budget:
     """Return the budget; raise UsageError if an option is wrong."""
-    if options.name not in TUNABLES:
-        raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
+    check_words("controller", [options.name], TUNABLES)
     cycle = len(tuning_scenarios(options.speed_range, "adverse"))
     if options.episodes < cycle or options.episodes % cycle:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")

@@ -59,6 +59,10 @@ class Pair:
         """Return the pair in the scenarios for whose names `wanted` is true."""
         return Pair(*({name: m for name, m in side.items() if wanted(name)} for side in (self.own, self.rival)))
 
+    def on(self, vehicle: str) -> Pair:
+        """Return the pair in the scenarios of a vehicle."""
+        return self.among(lambda name: vehicle_of(name) == vehicle)
+
     @property
     def capped(self) -> dict[str, Array]:
         """Capped errors [m] of the policy's episodes, by scenario."""
@@ -133,17 +137,14 @@ def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]
     """Return for each vehicle how the agent and the optimum compare with the controller of the smallest error."""
     rows, controllers = [], [policy for policy in pairs if policy in POLICIES and policy not in FORESIGHTED]
     for vehicle in vehicles_of(results):
-        own = {
-            policy: pair.among(lambda name, vehicle=vehicle: vehicle_of(name) == vehicle)  # type: ignore[misc]
-            for policy, pair in pairs.items()
-        }
-        best = min(controllers, key=lambda policy, own=own: own[policy].error.mean)  # type: ignore[misc]
-        shown = (AGENT, OPTIMUM_POLICY)
+        own = {policy: pair.on(vehicle) for policy, pair in pairs.items()}
+        errors = {policy: own[policy].error.mean for policy in controllers}
+        best, shown = min(errors, key=errors.__getitem__), (AGENT, OPTIMUM_POLICY)
         ratios = (relative_error(*([*own[p].capped.values()] for p in (best, policy))) for policy in shown)
         failed = ", ".join(str(own[policy].failed) for policy in (best, *shown))
         times = (_decision_time(results, policy, vehicle) for policy in (best, AGENT))
         rows.append([
-            f"`{vehicle}`", f"`{best}`", *(f"{_ratio(r.mean)} ({fixed_ends(r.ci95, 2)})" for r in ratios),
+            f"`{vehicle}`", f"`{best}`", *_ratios(*ratios),
             f"{failed} of {own[best].episodes}", _ratio(own[AGENT].over("smoothness")),
             " / ".join(f"{1e6 * time:.3g}" for time in times),
         ])  # fmt: skip
@@ -195,9 +196,9 @@ def seed_rows(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> li
     return rows
 
 
-def _ratios(overall: Score, disturbed: Score) -> list[str]:
-    """Return the error ratios in all cells and in those with a disturbance, with their intervals, as text."""
-    return [f"{_ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in (overall, disturbed)]
+def _ratios(*errors: Score) -> list[str]:
+    """Return error ratios with their intervals as text."""
+    return [f"{_ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in errors]
 
 
 def _disturbed(scenario: str) -> bool:
@@ -240,10 +241,7 @@ def _map(results: Results, vehicles: Sequence[str]) -> Figure:
     fig, [axes] = panels(1, len(own), (9.6, 1.6 + 0.27 * max(map(len, own.values()))))
     for ax, (speed_range, pairs) in zip(axes, own.items(), strict=True):
         shown = [v for v in vehicles if any(vehicle_of(n) == v for n in next(iter(pairs.values())).own)]
-        values = np.array([
-            [pair.among(lambda name, v=v: vehicle_of(name) == v).error.mean for v in shown]  # type: ignore[misc]
-            for pair in pairs.values()
-        ])  # fmt: skip
+        values = np.array([[pair.on(v).error.mean for v in shown] for pair in pairs.values()])
         image = ax.imshow(values, aspect="auto", cmap="RdBu_r", norm=LogNorm(LEAST, MOST))
         for (i, j), value in np.ndenumerate(values):
             colour = "white" if abs(np.log10(value)) > 0.7 else "black"

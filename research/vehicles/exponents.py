@@ -21,7 +21,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.gains.loading import EXPONENTS, load_gains, vehicle_ratios
-from baselines.tools.command_line import DONE, UsageError, parse, typed
+from baselines.tools.command_line import DONE, UsageError, check_words, parse, typed
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import TUNING
 from baselines.training.vehicle_models import SUBSTEPS, drawn_model
@@ -137,8 +137,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if options.name not in TUNABLES:
-        raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
+    check_words("controller", [options.name], TUNABLES)
     for word in ("steps", "vehicles", "sets"):
         if getattr(options, word) < 1:
             raise UsageError(f"--{word} is {getattr(options, word)}; it must be at least 1")

@@ -24,7 +24,7 @@ from baselines.evaluation.metrics import RESAMPLES
 from baselines.evaluation.score import RIVAL
 from baselines.gains.loading import adapted_gains, load_gains
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.command import known_vehicle_model
 from baselines.tuning.objective import TuningEpisodes
@@ -179,9 +179,7 @@ def _check(options: Options) -> None:
         raise UsageError(
             f"--policy {options.policy[0]} makes no sense here: {MEASURED_AGENT} runs, and {RIVAL}; leave it out"
         )
-    for name in options.policy:
-        if name not in TUNABLES:
-            raise UsageError(f"unknown controller {name!r}; allowed are {', '.join(TUNABLES)}")
+    check_words("controller", options.policy, TUNABLES)
     for word in ("held_out", "episodes"):
         if (number := getattr(options, word)) < 1 or number % 8:
             raise UsageError(f"--{word} is {number}; it must be a positive multiple of 8")

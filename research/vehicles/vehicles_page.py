@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -22,6 +22,7 @@ from baselines.policies import make_policy
 from baselines.similar import SimilarLaw
 from baselines.tools.files import read_json
 from research import DOCS
+from research.pages import table
 from research.vehicles.vehicles import KINDS, MEASURED_AGENT, NEAR_SEARCHED, SIDES, VEHICLES_FILE
 
 _SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
@@ -55,11 +56,6 @@ def worst_growth(vehicle: VehicleModel, policy: str = "backstepping") -> float:
     return max(growths)
 
 
-def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (names, ["---"] * len(names), *rows))
-
-
 def stability_table() -> str:
     """Return the speeds at which the expert was examined on each vehicle, and the half-life of the slowest error."""
     rows = []
@@ -67,7 +63,7 @@ def stability_table() -> str:
         growth, top = worst_growth(c), c.vehicle.speed
         word = f"{math.log(2) / -growth:.3g}" if growth < 0 else "unstable"
         rows.append([f"`{c.name}`", f"{max(_SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
-    return _table(["vehicle", "speeds [m/s]", "half-life of the slowest error [s]"], rows)
+    return table(["vehicle", "speeds [m/s]", "half-life of the slowest error [s]"], rows, right=False)
 
 
 def _percent(error: float, failed: int) -> str:
@@ -86,7 +82,7 @@ def search_table(record: Mapping[str, Any]) -> str:
         for vehicle, entry in record.items()
         for name, found in entry.items()
     ]
-    return _table(["vehicle", "controller", "by units", "from parameters", "searched", "ratio"], rows)
+    return table(["vehicle", "controller", "by units", "from parameters", "searched", "ratio"], rows, right=False)
 
 
 def exponents_section() -> str:
@@ -96,7 +92,7 @@ def exponents_section() -> str:
         check = entry["check"]
         ratios = f"{check['ratio']:.2f}", f"{100 * check['worse']:.0f} %", f"{check['largest']:.1f}"
         rows.append([f"`{name}`", *ratios])
-    return _table(["controller", "geometric mean", "share of vehicles above 1.02", "largest"], rows)
+    return table(["controller", "geometric mean", "share of vehicles above 1.02", "largest"], rows, right=False)
 
 
 def gains_section() -> str:
@@ -164,7 +160,7 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
         "ratio to parameters",
         "ratio to searched",
     ]
-    return says, _table(names, rows)
+    return says, table(names, rows, right=False)
 
 
 def _ratio(value: Score) -> str:
