@@ -30,7 +30,9 @@ EVALUATED_ENV = "auv_gym:UnderactuatedAUVTrack-v0"  # id of the environment of e
 TRACED = 3
 """Number of episodes of a rollout whose trajectories are recorded: the first ones."""
 _WARM_UP_STEPS = 10
-"""Control steps before the time limit applies, since the first ones may compile or load code."""
+"""Control steps before those that count for the time limit, since the first ones may compile or load code."""
+_TIMED_STEPS = 10
+"""Smallest number of control steps whose mean time is compared with the limit: one pause of the machine may be long."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
 """An environment at the beginning of its episodes, and its first observation."""
 
@@ -75,7 +77,8 @@ class Stopwatch:
         """Start at zero.
 
         Args:
-            limit: largest mean time of a decision for one vehicle [s], after the first `_WARM_UP_STEPS` steps.
+            limit: largest mean time of a decision for one vehicle [s], from the end of the `_WARM_UP_STEPS` on, over
+                at least `_TIMED_STEPS`.
         """
         self.limit, self.slowest, self._decisions, self._seconds = limit, 0.0, 0, 0.0
         self._warm_up = 0, 0.0  # number of decisions, and their time, before the limit applies
@@ -96,6 +99,7 @@ class Stopwatch:
         self._decisions += n
         if k < _WARM_UP_STEPS:
             self._warm_up = self._decisions, self._seconds
+        if k < _WARM_UP_STEPS + _TIMED_STEPS - 1:
             return
         mean = (self._seconds - self._warm_up[1]) / (self._decisions - self._warm_up[0])
         self.slowest = max(self.slowest, mean)

@@ -1,6 +1,7 @@
 """Policies that are programs: the documentation's examples in every language, and whatever goes wrong, in one line."""
 
 import gc
+import itertools
 import json
 import os
 import re
@@ -10,7 +11,9 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,8 +26,9 @@ from baselines import make_policy
 from baselines.agents import programs
 from baselines.agents.names import agent_folder, is_path
 from baselines.agents.programs import ProgramError, ProgramPolicy
+from baselines.evaluation import rollout as rollout_module
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.rollout import make_env, rollout
+from baselines.evaluation.rollout import PolicyError, Stopwatch, make_env, rollout
 from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 
@@ -226,6 +230,19 @@ def test_slow_programs_are_rejected():
     policy, scenario = make_policy(name), PRESETS["cruise-calm"]
     with pytest.raises(Exception, match=r"a decision takes .* allowed are 0\.001 s"):
         rollout(policy, scenario, drawn(scenario, 2, 0).episodes, step_limit=0.001)
+
+
+@pytest.mark.parametrize(("pauses", "slow"), [([0.5], False), ([0.5] * 3, True)])
+def test_one_pause_of_the_machine_is_no_slow_decision(pauses, slow, monkeypatch):
+    times = [0.0] * 10 + pauses + [0.001] * 20  # [s] of the decisions
+    readings = itertools.accumulate(itertools.chain.from_iterable((0.0, seconds) for seconds in times))
+    monkeypatch.setattr(rollout_module, "time", SimpleNamespace(perf_counter=lambda: next(readings)))
+    stopwatch = Stopwatch(limit=0.1)
+    with pytest.raises(PolicyError) if slow else nullcontext():
+        for k in range(len(times)):
+            with stopwatch:
+                pass
+            stopwatch.count(1, k)
 
 
 STUBBORN = """
