@@ -18,7 +18,7 @@ OPTIMUM = Seeds(90_000_000, 100_000_000)
 """Test of the full-information optimum."""
 TRANSFER = Seeds(120_000_000, 130_000_000)
 """Comparison of two simulators."""
-FINE_TUNING = Seeds(130_000_000, 140_000_000)
+FINE_TUNING = Seeds(140_000_000, 150_000_000)
 """Comparison of agents that were tuned to a vehicle."""
 
 TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)

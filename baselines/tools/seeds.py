@@ -27,7 +27,7 @@ TUNING_CHECK = Seeds(20_000_000, 30_000_000)
 """For the comparison of the gains that a search has found."""
 VALIDATION = Seeds(30_000_000, 40_000_000)
 """For the choice of agents, where the suite has no validation episodes."""
-STUDIES = Seeds(40_000_000, 140_000_000)
+STUDIES = Seeds(40_000_000, 150_000_000)
 """For the studies of the project."""
 TRAINING = Seeds(1_000_000_000, 2**62)
 """For the training of agents."""
