@@ -107,11 +107,8 @@ def quick(line):
         return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
         return [*words, "--episodes", "1", "--out", "bounds.json"]
-    if name == "dataset":
+    if name in ("dataset", "faults", "governed"):
         return [*words, "--episodes", "1"]
-    if name in ("faults", "governed"):
-        words[words.index("--episodes") + 1] = "1"
-        return words
     if name == "video":
         return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):

@@ -77,11 +77,11 @@ class Stopwatch:
         """Start at zero.
 
         Args:
-            limit: largest mean time of a decision for one vehicle [s], from the end of the `_WARM_UP_STEPS` on, over
+            limit: largest mean time of a decision for one vehicle [s], after the first `_WARM_UP_STEPS` steps and over
                 at least `_TIMED_STEPS`.
         """
         self.limit, self.slowest, self._decisions, self._seconds = limit, 0.0, 0, 0.0
-        self._warm_up = 0, 0.0  # number of decisions, and their time, before the limit applies
+        self._warm_up = 0, 0.0  # number of decisions, and their time, that do not count
 
     @property
     def decision_seconds(self) -> float:

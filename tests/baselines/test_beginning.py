@@ -220,8 +220,8 @@ def test_rates_rise_and_fall():
         Settings(warm_up=2)
 
 
-def test_fine_tuning_changes_only_rates_and_length():
-    """Of the residual environment's table, only how fast and how long is other."""
+def test_fine_tuning_keeps_agent_and_objective():
+    """Of the residual environment's table, only rates, length, windows and number of vehicles are other."""
     values = load_hyperparameters(shipped("apg"), FINE_TUNING_FILE_NAME)
     assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
     assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
