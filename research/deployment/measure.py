@@ -46,8 +46,8 @@ class Options:
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]")] = ()
     """Names of shipped agents. Default: all."""
-    episodes: int = 64
-    """Episodes of each cell of the suite for the score."""
+    episodes: int = 24
+    """Episodes of each cell of the suite for the score; in one file, those of all agents are equal."""
     out: Path = MEASURED_FILE
     """File for the measurements; `python -m research pages export-cost` shows them."""
 
@@ -185,6 +185,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, shipped_agents())
+    kept = _kept(options.out, options.episodes) if options.name else {}
     found = []
     for name in options.name or shipped_agents():
         try:
@@ -194,7 +195,7 @@ def main(arguments: Sequence[str]) -> int:
         last = found[-1]
         loss = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, loss of score {loss}", flush=True)
-    agents = _kept(options.out, options.episodes) | {m.name: asdict(m) for m in found}
+    agents = kept | {m.name: asdict(m) for m in found}
     record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
@@ -202,11 +203,16 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _kept(file: Path, episodes: int) -> dict[str, Any]:
-    """Return the earlier measurements with the same number of episodes, by agent.
+    """Return the earlier measurements of a file, by agent.
 
     Raises:
-        UsageError: the file is not a record of this command.
+        UsageError: the file is not a record of this command, or its measurements have another number of episodes.
     """
+    if not file.exists():
+        return {}
     with checked_record(file, PROGRAM):
-        record = read_json(file) if file.exists() else {}
-        return {own["name"]: own for own in record["agents"]} if record.get("episodes") == episodes else {}
+        record = read_json(file)
+        kept, agents = record["episodes"], {own["name"]: own for own in record["agents"]}
+    if kept != episodes:
+        raise UsageError(f"{file} has measurements with {kept} episodes: use --episodes {kept}, or measure all agents")
+    return agents

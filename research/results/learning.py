@@ -33,6 +33,8 @@ from research.results.study_files import Study, load_studies
 _SHORT = "short-"  # prefix of the short trainings that differ from `short-cruise` in one setting
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}
 """The strongest controller without learning, by suite."""
+ONE_SEED = "helm-any"
+"""Agent without a study; the agent that it starts from has one."""
 _SEALED = "sealed-v1"
 _HEADS = ("agent", "seeds", "score", "lead", "95 %", "held-out lead", "95 %", "failures", "command rate")
 
@@ -44,13 +46,24 @@ def context(_: str = "") -> dict[str, Any]:
     new = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {
-            name: (rival, table(_HEADS, lead_rows(found[name], new.get(name), studies, rival)))
+            name: (rival, table(_HEADS, lead_rows(results, new.get(name), studies | one_seed(results), rival)))
             for name, rival in _RIVALS.items()
+            for results in (found[name],)
         },
         "opened": table(("agent", *(f"lead over {r}" for r in _RIVALS.values()), "failures"), _opened(found[_SEALED])),
         "against_expert": table(("agent", *found, "all", "episodes"), _against_expert(found)),
         "parts": table(("training", "score", "95 %", "failures"), _short_rows(found["benchmark-v2"], studies)),
     }
+
+
+def one_seed(results: Results) -> dict[str, Study]:
+    """Return the recorded runs of `ONE_SEED` in a suite as studies of one seed."""
+    found = {}
+    for speed_range in SPEED_RANGES:
+        runs = [r for r in results.runs if r.policy == ONE_SEED and speed_range_of(r.scenario.name) == speed_range]
+        in_suite = {results.suite.source[0]: [runs]}
+        found[f"{ONE_SEED}-{speed_range}"] = Study.of("", speed_range, "", in_suite, [[]])
+    return found
 
 
 def held_out_results() -> list[Results]:
@@ -72,7 +85,7 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
         rival: the policy that a lead is relative to.
     """
     rows = []
-    for name, study in studies.items():
+    for name, study in sorted(studies.items()):
         own, speed_range = study.suites.get(results.suite.source[0]), study.speed_range
         if own is None or name.startswith(_SHORT):
             continue

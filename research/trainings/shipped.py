@@ -17,7 +17,7 @@ from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
 from baselines.training.run_folder import AGENT_FOLDER
-from research.trainings.trainings import SHIPPED_TRAININGS, request_of
+from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research train-all"
 
@@ -48,14 +48,31 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, SHIPPED_TRAININGS)
     for name in options.name or SHIPPED_TRAININGS:
-        print(f"{name}:", flush=True)
-        training = replace(SHIPPED_TRAININGS[name], timesteps=options.timesteps or SHIPPED_TRAININGS[name].timesteps)
-        request = request_of(training, options.out / name, DEFAULT_JOBS)
-        if (status := train(request)) != DONE:
+        if (status := trained(name, options.out, options.timesteps)) != DONE:
             return status
         if options.install:
-            install_agent(name, request.out)
+            install_agent(name, options.out / name)
     return DONE
+
+
+def trained(name: str, out: Path, timesteps: int | None = None) -> int:
+    """Train an agent in a folder `out`/NAME, after the agent of `FIRST_TRAININGS` that it starts from.
+
+    Args:
+        name: of `SHIPPED_TRAININGS` or `FIRST_TRAININGS`.
+        out: folder of the runs.
+        timesteps: control steps of each training; None: those of the trainings.
+
+    Returns:
+        The exit status.
+    """
+    training = (FIRST_TRAININGS | SHIPPED_TRAININGS)[name]
+    if (first := training.from_) in FIRST_TRAININGS:
+        if (status := trained(first, out, timesteps)) != DONE:
+            return status
+        training = replace(training, from_=str(out / first / AGENT_FOLDER))
+    print(f"{name}:", flush=True)
+    return train(request_of(replace(training, timesteps=timesteps or training.timesteps), out / name, DEFAULT_JOBS))
 
 
 def install_agent(name: str, run_folder: Path) -> None:

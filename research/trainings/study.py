@@ -29,6 +29,7 @@ from research.results.study_files import STUDIES_FOLDER, Study, save_study
 from research.trainings.shipped import install_agent
 from research.trainings.trainings import (
     ERROR_ONLY,
+    FIRST_TRAININGS,
     PPO_AUTHORITY,
     SHIPPED_TRAININGS,
     SPINS,
@@ -38,8 +39,8 @@ from research.trainings.trainings import (
 )
 
 PROGRAM = "python -m research study"
-OF_ALL_VEHICLES = "helm-any"
-"""Agent that also runs on the suites with other vehicles."""
+OF_ALL_VEHICLES = "helm-any-first"
+"""Agent that also runs on the suites with other vehicles. `helm-any`, which starts from it, has one seed."""
 OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v2")
 """Suites of the paper's vehicle."""
 
@@ -73,7 +74,7 @@ _FAMILIES: Mapping[str, str] = {
     "helm": "One agent for both speed ranges, with finer inputs for small errors, filters, and slewing actuators.",
     "helm-blind": "`helm` without a preview of the path.",
     "helm-small": "`helm` with a network of 2,004 weights.",
-    "helm-any": "`helm`, trained further on random vehicles; its inputs contain the vehicle model.",
+    OF_ALL_VEHICLES: "`helm`, trained further on random vehicles; `helm-any` before its second training.",
     "apg-scratch": "Without an expert: the network gives the whole command.",
     "ppo": "A network without memory corrects the expert; it learns from rewards until its score stops rising.",
     "ppo-lstm": "The same with long short-term memory.",
@@ -118,7 +119,12 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
 
 
 VARIANTS: Mapping[str, Variant] = {
-    **{variant: own for name, each in SHIPPED_TRAININGS.items() for variant, own in _shipped(name, each).items()},
+    **{
+        variant: own
+        for name, each in (SHIPPED_TRAININGS | FIRST_TRAININGS).items()
+        if each.from_ not in FIRST_TRAININGS
+        for variant, own in _shipped(name, each).items()
+    },
     **BRIEF,
     **SHORT_TRAININGS,
 }

@@ -387,9 +387,11 @@ def test_agents_that_are_not_measured_keep_their_entries(tmp_path, monkeypatch):
     assert [entry["name"] for entry in found["agents"]] == shipped_agents()
     changed = [new["name"] for new, old in zip(found["agents"], kept["agents"], strict=True) if new != old]
     assert changed == ["helm"]
-    # With another number of episodes the old entries are dropped.
-    assert measure.main(["helm", "--episodes", "2", "--out", str(out)]) == 0
-    assert [entry["name"] for entry in json.loads(out.read_text())["agents"]] == ["helm"]
+    with pytest.raises(UsageError, match=f"use --episodes {kept['episodes']}, or measure all agents"):
+        measure.main(["helm", "--episodes", "2", "--out", str(out)])
+    assert json.loads(out.read_text()) == found
+    assert measure.main(["--episodes", "2", "--out", str(out)]) == 0
+    assert json.loads(out.read_text())["episodes"] == 2
 
 
 def test_the_measurements_that_the_page_shows_are_of_all_agents_and_small():

@@ -36,10 +36,10 @@ from baselines.training.hyperparameters import TRAINED_ENV, changes_of, hyperpar
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
-from baselines.training.run_folder import RunFolder, locked, read_config, read_progress
+from baselines.training.run_folder import AGENT_FOLDER, RunFolder, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
 from research.trainings import shipped
-from research.trainings.trainings import SHIPPED_TRAININGS, training
+from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, training
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[2]
@@ -542,9 +542,17 @@ def test_hyperparameters_are_set_one_by_one(tmp_path):
 @pytest.mark.parametrize("name", SHIPPED_TRAININGS)
 def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     made = []
-    monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
+
+    def begun(r):
+        made.append(r)
+        if r.out.name not in FIRST_TRAININGS:
+            return 1
+        shutil.copytree(agent_folder(name), r.out / AGENT_FOLDER)
+        return 0
+
+    monkeypatch.setattr(shipped, "train", begun)
     assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
-    [config] = made[0].configs
+    [config] = made[-1].configs
     speed_ranges = {scenario.name.split("-")[0] for scenario, _ in config.scenarios}
     if name.startswith("helm"):
         assert (config.algo, speed_ranges) == ("apg", set(SPEED_RANGES))
@@ -555,10 +563,11 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     if (agent_folder(name) / "agent.json").exists():  # the one in the package came from just this
         record = json.loads((agent_folder(name) / "agent.json").read_text(encoding="utf-8"))
         theirs = Config.from_dict(record["training"]["config"])
-        assert theirs == replace(config, timesteps=theirs.timesteps)
+        first = len(made) > 1  # the agent that it starts from
+        assert theirs == replace(config, timesteps=theirs.timesteps, origin=theirs.origin if first else config.origin)
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
-    assert call(*shlex.split(made[0].command)[2:], "--out", tmp_path / "again") == 0
-    assert made[1].configs == (config,)
+    assert call(*shlex.split(made[-1].command)[2:], "--out", tmp_path / "again") == 0
+    assert made[-1].configs == (config,)
 
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):

@@ -81,8 +81,9 @@ def test_the_sentences_of_the_page_and_of_the_readme_are_true():
     for speed_range in ("slow", "cruise"):
         assert all(float(own[f"`helm`, {speed_range}"][column].split(" ... ")[0]) > 0 for column in (4, 6))
         assert abs(float(own[f"`apg-{speed_range}`"][2]) - float(own[f"`apg-scratch-{speed_range}`"][2])) < 0.005
+    level = ["`helm-any`, cruise", "`helm-any-first`, cruise"]
     intervals = {row[0]: [float(end) for end in row[4].split(" ... ")] for row in rows["unmodelled-v1"]}
-    assert [agent for agent, (_, high) in intervals.items() if high >= 0] == ["`helm-any`, cruise"]
+    assert [agent for agent, (_, high) in intervals.items() if high >= 0] == level
     assert all(low < 0 for low, _ in intervals.values())
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     slow, cruise = (own[f"`helm`, {speed_range}"][3] for speed_range in ("slow", "cruise"))

@@ -195,6 +195,6 @@ def test_the_readme_compares_the_agent_with_searched_gains():
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
     page = " ".join((ROOT / "docs/vehicle-gains.md").read_text(encoding="utf-8").split())
     measured = re.search(f"{pattern} times that with searched", page)[1]
-    said = rf"searched for each vehicle the ratio is {pattern} at cruise"
+    said = rf"searched for each vehicle it is {pattern} at cruise"
     [shown] = re.findall(said, " ".join((ROOT / "README.md").read_text(encoding="utf-8").split()))
     assert shown == measured
