@@ -14,7 +14,7 @@ from auv_gym.planning.paths import Circle
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Start
-from baselines.control.nmpc.controller import PREVIEW, delayed_targets
+from baselines.control.nmpc.controller import ENDS, delayed_targets
 from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting_forces, after_delay
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import ODDS
@@ -70,8 +70,8 @@ def test_delayed_targets_are_on_the_path(delay):
         angle = turn_rate * dt * np.asarray(periods, dtype=float)
         return speed / turn_rate * np.array((np.sin(angle), 1 - np.cos(angle)))
 
-    target = position(PREVIEW).T[:, :, None]
-    expected = position(np.array(PREVIEW) + delay).T
+    target = position(ENDS).T[:, :, None]
+    expected = position(np.array(ENDS) + delay).T
     np.testing.assert_allclose(delayed_targets(target, np.array([delay]))[:, :, 0], expected, atol=2e-3)
 
 

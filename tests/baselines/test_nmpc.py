@@ -1,5 +1,7 @@
 """Model predictive control: the optima of CasADi and SciPy, commands within limits, finite for every observation."""
 
+from dataclasses import replace
+
 import casadi
 import numpy as np
 import pytest
@@ -13,8 +15,9 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.task.observation import SIZE
-from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, shift_matrix
+from baselines.control.nmpc.controller import ENDS, NMPC_GAINS, PREVIEW, paces, shift_matrix, targets
 from baselines.control.nmpc.gauss_newton import (
     after_step,
     bounded_minimum,
@@ -32,6 +35,8 @@ from baselines.control.nmpc.problem import (
     Stage,
     next_state,
 )
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
 from baselines.gains.loading import load_gains
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
@@ -209,6 +214,28 @@ def test_it_reacts_to_a_turn_in_the_preview():
     assert action[1, 1] > action[0, 1] + 0.01
 
 
+def test_the_horizon_has_the_same_length_at_a_shorter_control_period():
+    dt, speed, turn_rate = np.array((0.2, 0.1, 0.05, 0.02)), 1.0, 0.12
+    angle = turn_rate * dt[:, None] * np.array(PREVIEW)
+    extra = speed / turn_rate * np.stack((np.sin(angle), 1 - np.cos(angle)), axis=2).reshape(len(dt), -1)
+    pace = paces(dt)
+    np.testing.assert_array_equal(pace, (1, 1, 2, 5))
+    angle = turn_rate * dt * pace * np.array(ENDS)[:, None]
+    expected = speed / turn_rate * np.stack((np.sin(angle), 1 - np.cos(angle)), axis=1)
+    np.testing.assert_allclose(targets(extra, pace), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nmpc", "nmpc-adverse"])
+def test_a_shorter_control_period_does_not_increase_the_error(name):
+    coarse = preset("cruise-storm")
+    fine = replace(coarse, control_dt=0.02, steps=5 * coarse.steps)
+    usual, short = (
+        rollout(baselines.make_policy(name), s, drawn(s, 4, 5).episodes).measures.steady_rmse.mean()
+        for s in (coarse, fine)
+    )
+    assert short < usual
+
+
 @given(seed=st.integers(0, 2**31 - 1), size=st.floats(0, 1))
 @example(seed=0, size=1.0)
 @settings(max_examples=10, deadline=None)
@@ -238,7 +265,7 @@ def test_actions_are_those_with_casadi():
     env = UnderactuatedAUVTrackVectorEnv(2, "cruise-current", preview=PREVIEW)
     policies = [baselines.make_policy("nmpc") for _ in range(2)]
     for law in (policies[1].controller.slow, policies[1].controller.cruise):
-        law.solve = CasadiSolver(law.problem, len(PREVIEW))
+        law.solve = CasadiSolver(law.problem, len(ENDS))
     observation, _ = env.reset(seed=5, options={"initial_error": np.zeros(3)})
     memories, first = [None, None], np.ones(2, dtype=bool)
     for _ in range(100):
@@ -252,7 +279,7 @@ def test_actions_are_those_with_casadi():
 
 
 def test_wrong_previews_and_gains_are_refused():
-    with pytest.raises(ValueError, match=r"has 0 columns .* needs a preview of 32.*preview=policy.preview"):
+    with pytest.raises(ValueError, match=r"has 0 columns .* needs a preview of 54.*preview=policy.preview"):
         baselines.make_policy("nmpc").predict(observations(1)[:, :SIZE])
     with pytest.raises(ValueError, match=r"weight surge is 0\.0; it must be"):
         baselines.make_policy("nmpc", gains=gains(surge=0.0))

@@ -52,8 +52,14 @@ from baselines.estimation.sea_model import (
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, Remembering
 
-PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
-"""Ends of the stages of the horizon, in control periods; the horizon is 5 s at cruise, 10 s in slow motion."""
+ENDS = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
+"""Ends of the stages of the horizon; the unit is a number of control periods, see `paces`. The horizon is 5 s at
+cruise, 10 s in slow motion."""
+_PERIOD = 0.1  # [s] unit of `ENDS` if the control period is shorter, in the paper's units
+_PACES = (1, 2, 3, 4, 5)
+"""Values of the unit of `ENDS`; at control periods below `_PERIOD` / 5 the horizon is shorter."""
+PREVIEW = (*ENDS, 60, 70, 80, 90, 100, 125, 150, 175, 200, 225, 250)
+"""Control periods ahead at which the controller needs the position of the reference."""
 _STEPS = 6  # most Gauss-Newton steps at an instant
 FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
 COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
@@ -67,8 +73,8 @@ NMPC_ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
 class PredictiveControl:
     """Model predictive control with its filter, a `Controller`.
 
-    Its memory is that of the filter, then the last plan's commands, shape (N, K, COMMAND_SIZE), one for each stage of
-    `PREVIEW`, then that of `fin_model`.
+    Its memory is that of the filter, then the last plan's commands, shape (N, K, COMMAND_SIZE), one for each of the
+    `ENDS`, then that of `fin_model`.
     """
 
     preview = PREVIEW
@@ -86,11 +92,11 @@ class PredictiveControl:
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
         self.solve = partial(optimised_plan, self.problem)
-        self._shift = shift_matrix(np.array(PREVIEW, dtype=np.float64))
+        self._shifts = np.stack([shift_matrix(np.multiply(pace, ENDS)) for pace in _PACES])
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMAND_SIZE)), np.zeros((n, 3))
+        return *self.filter.start(n), np.zeros((n, len(ENDS), COMMAND_SIZE)), np.zeros((n, 3))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
@@ -99,14 +105,17 @@ class PredictiveControl:
         acting, rescaling, fins = fin_model(o, fins)
         planned = planned * np.stack((np.ones_like(rescaling), rescaling), axis=1)[:, None]
         after, z = self.filter.update(tuple(filters), terms := np.array(o))
-        target, share = targets(extra), np.ones((COMMAND_SIZE, len(first)))
+        pace = paces(o.dt)
+        target, share = targets(extra, pace), np.ones((COMMAND_SIZE, len(first)))
         if self.filter.faults:
             faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
-            target, share = delayed_targets(target, faults.delay), np.array((faults.surge_share, faults.yaw_share))
+            target = delayed_targets(target, faults.delay / pace)
+            share = np.array((faults.surge_share, faults.yaw_share))
             z = estimate_after_delay(terms, z, self.vehicle)
-        horizon = prediction_horizon(terms, z, target, share, acting)
+        horizon = prediction_horizon(terms, z, target, share, acting, pace)
+        warm = np.einsum("njk,nki->jin", self._shifts[pace - 1], planned)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            guess = self._initial_plan(z, o, np.einsum("jk,nki->jin", self._shift, planned), first, horizon)
+            guess = self._initial_plan(z, o, warm, first, horizon)
             plan = self.solve(guess, horizon, np.where(first, FIRST_STEPS, _STEPS))
         # The prediction diverges for a vehicle that spins fast; the normalised law is stable in this state.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
@@ -147,16 +156,32 @@ def fin_model(o: Observation, memory: Array) -> tuple[Array, Array, Array]:
     return np.array((~has_fins, np.where(has_fins, known / limit, 0.0))), factor, np.stack((limit, now, known), axis=1)
 
 
-def targets(extra: Array) -> Array:
+def paces(dt: Array) -> NDArray[np.int64]:
+    """Return the unit of `ENDS` in control periods, shape (N,), for control periods dt [s] in the paper's units.
+
+    It is 1 at 0.1 s and above. With shorter control periods the horizon would otherwise be shorter in seconds than the
+    vehicle's response.
+    """
+    return np.maximum(np.rint(_PERIOD / np.maximum(dt, _PERIOD / _PACES[-1])), 1).astype(np.int64)
+
+
+def targets(extra: Array, pace: NDArray[np.int64]) -> Array:
     """Return the reference's positions at the ends of the stages, shape (K, 2, N) [m].
 
     They are relative to the reference's position now, in the body frame.
 
     Args:
-        extra: the preview, shape (N, 2 K) or wider.
+        extra: the columns of `PREVIEW`, shape (N, 2 * len(PREVIEW)) or wider.
+        pace: see `paces`, shape (N,).
     """
-    stages = len(PREVIEW)
-    return extra[:, : 2 * stages].reshape(len(extra), stages, 2).transpose(1, 2, 0)
+    ahead = extra[:, : 2 * len(PREVIEW)].reshape(len(extra), len(PREVIEW), 2)
+    return np.asarray(np.einsum("nkj,nji->kin", _pace_matrices()[pace - 1], ahead))
+
+
+@cache
+def _pace_matrices() -> Array:
+    """Return matrices from the positions of `PREVIEW` to those at the ends of the stages, one for each of `_PACES`."""
+    return np.stack([_interpolation(PREVIEW, np.multiply(pace, ENDS)) for pace in _PACES])
 
 
 def delayed_targets(target: Array, delay: Array) -> Array:
@@ -164,7 +189,7 @@ def delayed_targets(target: Array, delay: Array) -> Array:
 
     Args:
         target: positions without the delay.
-        delay: [periods], shape (N,), at most `LATE`; positions at fractions of a period are interpolated.
+        delay: in the unit of `ENDS`, shape (N,), at most `LATE`; positions at fractions of it are interpolated.
     """
     weights = np.clip(1.0 - np.abs(delay - np.arange(LATE + 1.0)[:, None]), 0.0, 1.0)
     return np.asarray(np.einsum("dkj,jin,dn->kin", _delay_matrices(), target, weights))
@@ -172,15 +197,21 @@ def delayed_targets(target: Array, delay: Array) -> Array:
 
 @cache
 def _delay_matrices() -> Array:
-    """Return matrices from positions at the ends of the stages to positions d periods later, shape (1 + LATE, K, K)."""
+    """Return matrices from positions at the ends of the stages to positions d units later, shape (1 + LATE, K, K)."""
+    return np.stack([_interpolation(ENDS, np.array(ENDS) + d) for d in range(LATE + 1)])
+
+
+def _interpolation(known: Sequence[int], wanted: Array) -> Array:
+    """Return the matrix from positions at known times to those at wanted times; the position at time zero is zero."""
     from scipy.interpolate import CubicSpline
 
-    ends = np.array((0.0, *PREVIEW))
-    spline = CubicSpline(ends, np.eye(len(ends)))  # weights of the positions; the first position is zero
-    return np.stack([spline(ends[1:] + d)[:, 1:] for d in range(LATE + 1)])
+    times = np.array((0.0, *known))
+    return np.asarray(CubicSpline(times, np.eye(len(times)))(wanted)[:, 1:])
 
 
-def prediction_horizon(o: Array, z: Array, target: Array, share: Array, acting: Array) -> Horizon:
+def prediction_horizon(
+    o: Array, z: Array, target: Array, share: Array, acting: Array, pace: NDArray[np.int64]
+) -> Horizon:
     """Return the stages of the horizon.
 
     Args:
@@ -189,12 +220,14 @@ def prediction_horizon(o: Array, z: Array, target: Array, share: Array, acting: 
         target: see `targets`.
         share: of the commanded forces that act, shape (2, N).
         acting: `Stage.torque` and `Stage.fin`, shape (2, N).
+        pace: see `paces`, shape (N,).
     """
-    stages, n = len(PREVIEW), o.shape[1]
-    ends = np.array(PREVIEW, dtype=np.float64)
-    lengths = np.diff(ends, prepend=0.0)
-    periods = np.array((lengths, ends - 0.5 * lengths, np.arange(stages) == stages - 1)).T[:, :, None]
-    given = {"o": o, "z": z, "target": target, "acting": acting, "periods": np.broadcast_to(periods, (stages, 3, n))}
+    stages = len(ENDS)
+    ends = np.array(ENDS, dtype=np.float64)[:, None] * pace
+    lengths = np.diff(ends, prepend=0.0, axis=0)
+    last = np.broadcast_to((np.arange(stages) == stages - 1)[:, None], ends.shape)
+    periods = np.stack((lengths, ends - 0.5 * lengths, last), axis=1)
+    given = {"o": o, "z": z, "target": target, "acting": acting, "periods": periods}
     first = Observation._fields.index("F_u_max")
     return Horizon(horizon_kernel()(stages, **given)["stages"], share * o[first : first + COMMAND_SIZE])
 
