@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
@@ -28,7 +28,6 @@ class Tunable:
     factory: Maker
     names: Sequence[str]  # of the gains
     world: str = "plain"  # one of `objective._WORLDS`
-    sweep: Mapping[str, float] = field(default_factory=dict)  # exponents by gain, see `SWEEPS`
 
 
 def _printed(gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Backstepping:
@@ -39,15 +38,9 @@ def _tunable(name: str, names: Sequence[str]) -> Tunable:
     """Return the entry of a controller whose factory takes gains; a fault-tolerant one is tuned with faults."""
     factory, options, _ = POLICIES[name]
     world = "adverse" if name.endswith("-adverse") else "plain"
-    return Tunable(partial(factory, **options), names, world, SWEEPS.get(name, {}))
+    return Tunable(partial(factory, **options), names, world)
 
 
-SWEEPS: Mapping[str, Mapping[str, float]] = {
-    "lqi": dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0),  # weights of the commands
-    "ekf": dict.fromkeys(("k", "cu", "c", "cr"), -0.25),  # rates of its law
-    "nmpc": dict.fromkeys(("surge", "yaw"), 1.0),  # weights of the commands
-}
-"""By controller and gain, the exponent of the factor of a sweep from small errors to smooth commands."""
 TUNABLES: dict[str, Tunable] = {
     "backstepping-tuned": Tunable(_printed, LAW_GAINS),
     "backstepping-normalised-tuned": Tunable(_printed, SCALED_GAINS),
