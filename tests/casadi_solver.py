@@ -68,7 +68,7 @@ def _compiled(problem: OptimalControl, stages: int, method: str) -> Any:
         stage = Stage(*casadi.vertsplit(data[k]))
         command = casadi.vertsplit(shares[k] * limits)
         before, after = casadi.vertsplit(states[k]), casadi.vertsplit(states[k + 1])
-        reached = next_state(before, command, stage, problem.vehicle.coefficients, casadi)
+        reached = next_state(before, command, stage, problem.vehicle.coefficients, problem.substeps, casadi)
         cost += sum(stage_costs(before, command, after, stage, problem.weights, casadi))
         constraints.append(states[k + 1] - casadi.vertcat(*reached))
         if k == 0:

@@ -1,5 +1,6 @@
 """Model predictive control: the optima of CasADi and SciPy, commands within limits, finite for every observation."""
 
+import math
 from dataclasses import replace
 
 import casadi
@@ -8,14 +9,17 @@ import pytest
 from casadi_solver import CasadiSolver
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
 import baselines
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.dynamics import state_rates
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import as_scenario as preset
+from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE
 from baselines.control.nmpc.controller import ENDS, NMPC_GAINS, PREVIEW, paces, shift_matrix, targets
 from baselines.control.nmpc.gauss_newton import (
@@ -72,11 +76,11 @@ def random_problem(rng, n, limits=(250.0, 100.0)):
 # The solver.
 
 
-def stage_slopes(vehicle, state, command, stage):
+def stage_slopes(vehicle, state, command, stage, substeps=1):
     """Return the symbolic Jacobian of `next_state`, shape (N, STATES, STATES + COMMANDS)."""
 
     def equation(state, command, stage):
-        rows = stage_jacobian(state, command, Stage(*stage), vehicle.coefficients)
+        rows = stage_jacobian(state, command, Stage(*stage), vehicle.coefficients, substeps)
         return {"slopes": [x for row in rows for x in row]}
 
     rows = {"state": STATE_ROWS, "command": COMMAND_SIZE, "stage": STAGE_ROWS}
@@ -84,19 +88,34 @@ def stage_slopes(vehicle, state, command, stage):
     return slopes["slopes"].T.reshape(-1, STATE_ROWS, STATE_ROWS + COMMAND_SIZE)
 
 
-@pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
-def test_derivatives_are_those_of_casadi(vehicle):
+@pytest.mark.parametrize(("vehicle", "substeps"), [(PAPER_VEHICLE, 1), (DRAGGY, 1), (DRAGGY, 3)])
+def test_derivatives_are_those_of_casadi(vehicle, substeps):
     rng = np.random.default_rng(0)
     start, horizon = random_problem(rng, 3)
     commands, stage = rng.normal(0, 40, (COMMAND_SIZE, 3)), horizon.stages[3]
     both, stages = casadi.SX.sym("both", STATE_ROWS + COMMAND_SIZE), casadi.SX.sym("stage", STAGE_ROWS)
     state, command = casadi.vertsplit(both)[:STATE_ROWS], casadi.vertsplit(both)[STATE_ROWS:]
-    after = casadi.vertcat(*next_state(state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients, casadi))
+    given = state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients
+    after = casadi.vertcat(*next_state(*given, substeps, casadi))
     slopes = casadi.Function("slopes", [both, stages], [casadi.jacobian(after, both)])
-    ours = stage_slopes(vehicle, start, commands, stage)
+    ours = stage_slopes(vehicle, start, commands, stage, substeps)
     for i in range(3):
         expected = slopes(np.append(start[:, i], commands[:, i]), stage[:, i])
         np.testing.assert_allclose(ours[i], np.array(expected), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["paper", *vehicle_names()])
+def test_the_longest_stage_of_a_hard_turn_is_predicted_as_by_scipy(name):
+    vehicle = PAPER_VEHICLE if name == "paper" else vehicle_model(name).in_paper_units.vehicle
+    problem, motion = OptimalControl(vehicle, WEIGHTS), np.array((0.0, 0.0, 0.0, vehicle.speed, 0.3, 0.3))
+    stage = Stage(0.5, *[0.0] * 10, 1.0, 0.0)._replace(gain=1.0, share=1.0)
+    found = next_state([*motion, 0.0, 0.0], (0.0, 0.0), stage, vehicle.all_coefficients, problem.substeps, math)
+
+    def slope(_, z):
+        return state_rates(tuple(z), (0.0, 0.0, 0.0), vehicle.all_coefficients)
+
+    expected = solve_ivp(slope, (0.0, 0.5), motion, rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(found[:6], expected, atol=0.05)
 
 
 def test_gauss_newton_step_is_that_of_a_quadratic_program():
@@ -116,7 +135,7 @@ def test_gauss_newton_step_is_that_of_a_quadratic_program():
         effort = root * np.diag((WEIGHTS.surge, WEIGHTS.yaw))
         residuals += list(effort @ force_error)
         rows += list(effort @ (choose - by_commands[6:]))
-        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k])[0]
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k], problem.substeps)[0]
         by_commands = f[:, :STATE_ROWS] @ by_commands + f[:, STATE_ROWS:] @ choose
         x, y, *_, v, _, _, _ = plan.states[k + 1, :, 0]
         e = np.array((x - stage.target_x, y - stage.target_y))
@@ -130,7 +149,7 @@ def test_gauss_newton_step_is_that_of_a_quadratic_program():
         feedback = full.feedback[k, :, 0].reshape(COMMAND_SIZE, STATE_ROWS)
         change = full.step[k, :, 0] + feedback @ changed
         np.testing.assert_allclose(change, best[COMMAND_SIZE * k : COMMAND_SIZE * (k + 1)], rtol=1e-6, atol=1e-6)
-        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k])[0]
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], horizon.stages[k], problem.substeps)[0]
         changed = f[:, :STATE_ROWS] @ changed + f[:, STATE_ROWS:] @ change
     np.testing.assert_allclose(full.decrease[0], b @ b - np.sum((A @ best + b) ** 2), rtol=1e-8)
 

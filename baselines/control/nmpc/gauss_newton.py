@@ -88,7 +88,7 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
         np.zeros((1, n)),
     )
     constant = problem.constant(n)
-    riccati_kernel(len(constant)).bound(
+    riccati_kernel(problem.substeps, len(constant)).bound(
         slope=np.zeros((STATE_ROWS, n)),
         curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
         decrease=decrease,
@@ -105,10 +105,11 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
 
 
 @cache
-def riccati_kernel(size: int = CONSTANTS) -> Kernel:
+def riccati_kernel(substeps: int = 1, size: int = CONSTANTS) -> Kernel:
     """Return the kernel of `riccati_step`, which runs from the last stage to the first.
 
     Args:
+        substeps: see `next_state`.
         size: number of rows of vehicle and weights.
     """
 
@@ -124,6 +125,7 @@ def riccati_kernel(size: int = CONSTANTS) -> Kernel:
             plan["after"],
             Stage(*stage),
             coefficients,
+            substeps,
             weights,
             limits,
         )
@@ -155,6 +157,7 @@ def riccati_step(
     after: Sequence[Any],
     stage: Stage,
     coefficients: Coefficients,
+    substeps: int,
     weights: CostWeights,
     limits: Sequence[Any],
 ) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
@@ -172,7 +175,7 @@ def riccati_step(
     curvature = _error_curvature(after, stage, weights)
     for axis in (PLACE.x_e, PLACE.y_e):
         V_xx[axis][axis] = V_xx[axis][axis] + curvature
-    columns = list(zip(*stage_jacobian(state, command, stage, coefficients), strict=True))
+    columns = list(zip(*stage_jacobian(state, command, stage, coefficients, substeps), strict=True))
     Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
     Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
     return feedback_law(Q_1, Q_2, command, limits)
@@ -203,12 +206,14 @@ def feedback_law(
     return V_x, V_xx, k, K, gained
 
 
-def stage_jacobian(state: Sequence[Any], command: Sequence[Any], stage: Stage, coefficients: Coefficients) -> Matrix:
+def stage_jacobian(
+    state: Sequence[Any], command: Sequence[Any], stage: Stage, coefficients: Coefficients, substeps: int
+) -> Matrix:
     """Return the Jacobian of `next_state` with respect to state and command, `STATE_ROWS` rows; on symbols.
 
     The chain rule over the mean loads, on which the motion depends, needs fewer operations.
     """
-    both, after = [*state, *command], next_state(state, command, stage, coefficients, SYMBOLS)
+    both, after = [*state, *command], next_state(state, command, stage, coefficients, substeps, SYMBOLS)
     X, N, *_ = actuated(state, command, stage)
     acting = [*state[MOTION_STATES], X, N]
     motion = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))

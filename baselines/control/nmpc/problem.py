@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
-from functools import cache
+from functools import cache, cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -16,7 +17,8 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array, Number
-from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
+from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle, with_names
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.sea_model import PLACE
 
@@ -26,6 +28,9 @@ STATE_ROWS = PLACE.V_x
 """Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], forces of the
 actuators F_u [N], F_r [N m]. These are the first rows of an `Estimate`."""
 COMMAND_SIZE = 2  # F_u [N], F_r [N m]
+_LONGEST_STAGE = 0.5  # [s] in the paper's units, at cruise
+_HARD_TURN = (PAPER_VEHICLE.speed, 0.3, 0.3)
+"""Surge, sway [m/s] and yaw rate [rad/s] at which a prediction must be stable, in the paper's units."""
 
 
 @dataclass(frozen=True)
@@ -133,13 +138,15 @@ def actuated(state: Sequence[Number], command: Sequence[Number], stage: Stage) -
 
 
 def next_state(
-    state: Sequence[Number], command: Sequence[Number], stage: Stage, coefficients: Coefficients, ns: Any
+    state: Sequence[Number], command: Sequence[Number], stage: Stage, coefficients: Coefficients, substeps: int, ns: Any
 ) -> list[Number]:
-    """Return the `STATE_ROWS` components of the state at the end of a stage."""
+    """Return the `STATE_ROWS` components of the state at the end of a stage, after `substeps` integration steps."""
     x, y, psi, u, v, r, *_ = state
     X, N, *force = actuated(state, command, stage)
-    load, current = (X, stage.Y, N), (stage.V_x, stage.V_y)
-    return [*rk4_step((x, y, psi, u, v, r), load, coefficients, stage.dt, current, ns), *force]
+    load, current, motion = (X, stage.Y, N), (stage.V_x, stage.V_y), (x, y, psi, u, v, r)
+    for _ in range(substeps):
+        motion = rk4_step(motion, load, coefficients, stage.dt / substeps, current, ns)
+    return [*motion, *force]
 
 
 def stage_costs(
@@ -176,11 +183,12 @@ def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
 
 
 @cache
-def prediction_kernel(feedback: bool, size: int = CONSTANTS) -> Kernel:
+def prediction_kernel(feedback: bool, substeps: int = 1, size: int = CONSTANTS) -> Kernel:
     """Return the kernel that predicts states and cost for given commands, stage by stage.
 
     Args:
         feedback: whether to add the feedback of a Gauss-Newton step to the commands, and to clip them to the limits.
+        substeps: see `next_state`.
         size: number of rows of vehicle and weights.
     """
 
@@ -192,7 +200,7 @@ def prediction_kernel(feedback: bool, size: int = CONSTANTS) -> Kernel:
             for gain, a, b in zip(gains, state, change["planned"], strict=True):
                 command[i] = command[i] + gain * (a - b)
             command[i] = SYMBOLS.clip(command[i], -limit, limit)
-        after = next_state(state, command, stage, coefficients, SYMBOLS)
+        after = next_state(state, command, stage, coefficients, substeps, SYMBOLS)
         costs = stage_costs(state, command, after, stage, weights, SYMBOLS)
         applied = {"applied": command} if feedback else {}
         return {"state": after, "cost": [cost[0] + costs[0] + costs[1] + costs[2]], "states": after, **applied}
@@ -210,6 +218,12 @@ class OptimalControl:
 
     vehicle: Vehicle
     weights: CostWeights
+
+    @cached_property
+    def substeps(self) -> int:
+        """Integration steps in a stage, with which the longest stage of a hard turn is stable."""
+        rate = float(fastest_rate(self.vehicle.all_coefficients, (0.0, 0.0, 0.0), _HARD_TURN))
+        return math.ceil(_LONGEST_STAGE * rate / MAX_STIFFNESS)
 
     def constant(self, n: int) -> Array:
         """Return the rows of vehicle and weights for n vehicles, shape (rows, n)."""
@@ -235,10 +249,9 @@ class OptimalControl:
         arrays |= {"commands": commands, "states": states[1:]}
         if plan is not None and change is not None:
             arrays |= {"limits": horizon.limits, "planned": plan.states[:-1], "gains": change.feedback}
-            prediction_kernel(True, len(arrays["constant"])).bound(
-                **arrays, applied=(applied := np.empty_like(commands))
-            )(0, steps)
+            kernel = prediction_kernel(True, self.substeps, len(arrays["constant"]))
+            kernel.bound(**arrays, applied=(applied := np.empty_like(commands)))(0, steps)
         else:
-            prediction_kernel(False, len(arrays["constant"])).bound(**arrays)(0, steps)
+            prediction_kernel(False, self.substeps, len(arrays["constant"])).bound(**arrays)(0, steps)
             applied = commands
         return Plan(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf))
