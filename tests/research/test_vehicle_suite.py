@@ -258,6 +258,9 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
     ((_, seeds, over_seeds, *_),) = vehicles.seed_rows(pairs["nmpc"].own, load_studies())
     assert seeds == "3"
     assert f"before its second training, the ratio was {over_seeds} over three seeds." in readme
+    page = " ".join((ROOT / "docs" / "fine-tuning.md").read_text(encoding="utf-8").split())
+    assert f"Three seeds have {over_seeds.split()[0]} times the errors of `nmpc`" in page
+    assert f"reduced the ratio to {error.mean:.2f}:" in page
     finned = [name for name in vehicle_names() if vehicle_model(name).actuators.fin]
     own, rival = (
         [pairs[policy].among(lambda cell, name=name: vehicle_of(cell) == name).failed for name in finned]
