@@ -186,13 +186,6 @@ def failure_bound(failed: int, episodes: int) -> float:
     return float(betaincinv(failed + 1, episodes - failed, 0.95)) if failed < episodes else 1.0
 
 
-def share_interval(failed: int, episodes: int) -> tuple[float, float]:
-    """Return the two-sided 95 % interval (Clopper and Pearson) of the failure rate of independent episodes."""
-    low = betaincinv(failed, episodes - failed + 1, 0.025) if failed > 0 else 0.0
-    high = betaincinv(failed + 1, episodes - failed, 0.975) if failed < episodes else 1.0
-    return float(low), float(high)
-
-
 def summarise(m: Measures, interval: bool = True) -> Summary:
     """Return the averages over the episodes of a policy; `interval` adds that of the steady-state RMSE (slow)."""
     return Summary(

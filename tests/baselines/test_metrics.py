@@ -213,11 +213,9 @@ def test_bootstrap_interval_is_that_of_scipy(count):
 
 
 @pytest.mark.parametrize(("failed", "episodes"), [(0, 2080), (1, 20), (19, 20), (20, 20)])
-def test_intervals_of_shares_are_those_of_scipy(failed, episodes):
+def test_bounds_of_failure_rates_are_those_of_scipy(failed, episodes):
     upper = stats.binomtest(failed, episodes, alternative="less").proportion_ci(0.95).high
     assert metrics.failure_bound(failed, episodes) == pytest.approx(upper, rel=1e-12)
-    both = stats.binomtest(failed, episodes).proportion_ci(0.95)
-    assert metrics.share_interval(failed, episodes) == pytest.approx((both.low, both.high), rel=1e-12)
 
 
 def test_bootstrap_interval():
