@@ -246,10 +246,10 @@ def test_the_horizon_has_the_same_length_at_a_shorter_control_period():
 
 @pytest.mark.parametrize("name", ["nmpc", "nmpc-adverse"])
 def test_a_shorter_control_period_does_not_increase_the_error(name):
-    coarse = preset("cruise-storm")
-    fine = replace(coarse, control_dt=0.02, steps=5 * coarse.steps)
+    coarse = replace(preset("cruise-storm"), steps=200)
+    fine = replace(coarse, control_dt=0.02, steps=1000)
     usual, short = (
-        rollout(baselines.make_policy(name), s, drawn(s, 4, 5).episodes).measures.steady_rmse.mean()
+        rollout(baselines.make_policy(name), s, drawn(s, 3, 5).episodes).measures.steady_rmse.mean()
         for s in (coarse, fine)
     )
     assert short < usual
