@@ -57,12 +57,13 @@ class Results:
         """The policies, in the order of the registry."""
         return list(self.scores)
 
+    def runs_of(self, policy: str, speed_range: str) -> list[Run]:
+        """Return the runs of a policy in the cases of a speed range."""
+        return [r for r in self.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
+
     def measures(self, policy: str, speed_range: str) -> list[Measures]:
         """Return the measures of a policy in each case of a speed range."""
-        own = [
-            run_ for run_ in self.runs if run_.policy == policy and speed_range_of(run_.scenario.name) == speed_range
-        ]
-        return [run_.measures for run_ in own if run_.measures is not None]
+        return [r.measures for r in self.runs_of(policy, speed_range) if r.measures is not None]
 
 
 def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:

@@ -23,7 +23,6 @@ from baselines.evaluation.score import (
     lead,
     score_text,
     seeds_score,
-    speed_range_of,
 )
 from research.pages import table
 from research.results import held_out
@@ -46,9 +45,11 @@ def context(_: str = "") -> dict[str, Any]:
     new = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {
-            name: (rival, table(_HEADS, lead_rows(results, new.get(name), studies | one_seed(results), rival)))
+            name: (
+                rival,
+                table(_HEADS, lead_rows(found[name], new.get(name), studies | recorded_study(found[name]), rival)),
+            )
             for name, rival in _RIVALS.items()
-            for results in (found[name],)
         },
         "opened": table(("agent", *(f"lead over {r}" for r in _RIVALS.values()), "failures"), _opened(found[_SEALED])),
         "against_expert": table(("agent", *found, "all", "episodes"), _against_expert(found)),
@@ -56,12 +57,11 @@ def context(_: str = "") -> dict[str, Any]:
     }
 
 
-def one_seed(results: Results) -> dict[str, Study]:
+def recorded_study(results: Results) -> dict[str, Study]:
     """Return the recorded runs of `ONE_SEED` in a suite as studies of one seed."""
     found = {}
     for speed_range in SPEED_RANGES:
-        runs = [r for r in results.runs if r.policy == ONE_SEED and speed_range_of(r.scenario.name) == speed_range]
-        in_suite = {results.suite.source[0]: [runs]}
+        in_suite = {results.suite.source[0]: [results.runs_of(ONE_SEED, speed_range)]}
         found[f"{ONE_SEED}-{speed_range}"] = Study.of("", speed_range, "", in_suite, [[]])
     return found
 
@@ -108,7 +108,7 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
 
 def _steady_rmses(results: Results, policy: str, speed_range: str) -> dict[str, Array]:
     """Return the steady-state errors [m] of a policy by case of a speed range, shape (M,) each; {} without results."""
-    own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
+    own = results.runs_of(policy, speed_range)
     return {r.scenario.name: r.measures.steady_rmse for r in own if r.measures is not None}
 
 
@@ -133,7 +133,7 @@ def _texts(value: Score) -> tuple[str, str]:
 
 def _failed(results: Results, policy: str, speed_range: str) -> NDArray[np.bool_]:
     """Return for each episode of a speed range whether a policy failed, shape (M,); shape (0,) without results."""
-    own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
+    own = results.runs_of(policy, speed_range)
     parts = [has_failed(r.measures, error_cap(r.scenario.name)) for r in own if r.measures]
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 

@@ -30,6 +30,7 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import count_failures
 from baselines.tools.command_line import run
 from baselines.tools.files import read_json
+from research.results.collection import Results
 from research.results.learning import versus_expert
 from research.robustness import failure_rate, falsification, guards, search_space
 from research.seeds import FAILURE_RATE, FALSIFICATION
@@ -281,6 +282,8 @@ def test_helm_fails_in_no_recorded_episode_in_which_the_expert_does_not():
 
 class _Recorded:
     """Recorded runs of two policies in a suite, as the pages use them."""
+
+    runs_of = Results.runs_of
 
     def __init__(self, suite):
         self.suite = suite

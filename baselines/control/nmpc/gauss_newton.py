@@ -23,7 +23,6 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
     COMMAND_SIZE,
-    CONSTANTS,
     STAGE_ROWS,
     STATE_ROWS,
     CostWeights,
@@ -105,7 +104,7 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
 
 
 @cache
-def riccati_kernel(substeps: int = 1, size: int = CONSTANTS) -> Kernel:
+def riccati_kernel(substeps: int, size: int) -> Kernel:
     """Return the kernel of `riccati_step`, which runs from the last stage to the first.
 
     Args:

@@ -19,7 +19,7 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle, with_names
-from baselines.estimation.kalman import VEHICLE_ROWS, repeated
+from baselines.estimation.kalman import repeated
 from baselines.estimation.sea_model import PLACE
 
 Integers = NDArray[np.int64]
@@ -172,10 +172,6 @@ def error_weight(stage: Stage, weights: CostWeights) -> Number:
     return stage.dt + stage.last * weights.terminal
 
 
-CONSTANTS = VEHICLE_ROWS + len(_WEIGHTS)
-"""Number of rows of a kernel's input that describe the problem: a vehicle without cross terms, then weights."""
-
-
 def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
     """Return coefficients and weights from the rows of a kernel that describe the problem."""
     size = len(rows) - len(_WEIGHTS)
@@ -183,7 +179,7 @@ def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
 
 
 @cache
-def prediction_kernel(feedback: bool, substeps: int = 1, size: int = CONSTANTS) -> Kernel:
+def prediction_kernel(feedback: bool, substeps: int, size: int) -> Kernel:
     """Return the kernel that predicts states and cost for given commands, stage by stage.
 
     Args:
