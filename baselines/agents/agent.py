@@ -112,8 +112,8 @@ class Agent:
         region = self.region if fade else None
         own = {name.partition("-")[0] for name in self.scenarios}
         speeds = _SPEEDS[own.pop()] if len(own) == 1 and own <= set(_SPEEDS) else (0.0, math.inf)
-        network, coefficients = (self.network, self.weights, self.authority), known.coefficients
-        return ResidualPolicy(expert, *network, region, self.inputs, precision, speeds, coefficients)
+        network = self.network, self.weights, self.authority
+        return ResidualPolicy(expert, *network, region, self.inputs, precision, speeds, known)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder and replace an older one; the folder is never incomplete.

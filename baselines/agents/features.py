@@ -135,8 +135,8 @@ class Inputs:
             correction: the previous output of the network, surge and yaw; zero at the start of an episode.
             memory: `Inputs.memory` rows from the previous call; zero at the start of an episode.
             ns: the namespace of the numbers.
-            coefficients: of the nominal vehicle in the paper's units (`auv_gym.physics.units`); not used without
-                `Inputs.hull`.
+            coefficients: `Vehicle.all_coefficients` of the nominal vehicle in the paper's units
+                (`auv_gym.physics.units`); not used without `Inputs.hull`.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
         (x1, y1, x2, y2), rest = (before := tuple(memory))[:INTEGRALS], before[INTEGRALS:]

@@ -13,7 +13,7 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle, with_names
 from auv_gym.task.observation import SIZE, action_of, decode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.task.preview import shared_preview
@@ -31,7 +31,7 @@ _Symbols = Sequence[Symbol]
 def feature_kernel(
     inputs: Inputs,
     forces: Forces | None,
-    vehicle: Coefficients = PAPER_VEHICLE.coefficients,
+    vehicle: Vehicle = PAPER_VEHICLE,
     units: Units = Units(),  # noqa: B008, it is frozen
 ) -> Kernel:
     """Return the kernel that computes the features from an observation and its preview, `ahead`.
@@ -42,10 +42,10 @@ def feature_kernel(
     Args:
         inputs: features of the network.
         forces: of the expert, if it is a law. None: the expert's action `base` is an input of the kernel.
-        vehicle: the nominal one, see `Inputs.update`.
+        vehicle: the nominal one, in the paper's units; not used without `Inputs.hull`.
         units: in which the features are computed from an observation in SI units. By default nothing is scaled.
     """
-    factors = () if units == Units() else shown_factors(units)
+    factors, model = () if units == Units() else shown_factors(units), with_names(vehicle.all_coefficients)
 
     def equation(
         observation: _Symbols, ahead: _Symbols, correction: _Symbols, integrals: _Symbols, base: _Symbols = ()
@@ -56,7 +56,7 @@ def feature_kernel(
             ahead = [distance * (1 / units.length) for distance in ahead]
         if forces is not None:
             base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
-        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, vehicle)
+        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, model)
         errors = scaled_errors(o, SYMBOLS)
         return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
 
@@ -109,7 +109,7 @@ class ResidualPolicy(Batched):
         inputs: Inputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = ALL_SPEEDS,
-        vehicle: Coefficients = PAPER_VEHICLE.coefficients,
+        vehicle: Vehicle = PAPER_VEHICLE,
     ) -> None:
         """Make the policy.
 
@@ -122,7 +122,7 @@ class ResidualPolicy(Batched):
             inputs: features of the network.
             precision: of the network, "float64" or "float32".
             speeds: see `Batched`.
-            vehicle: the nominal one, see `Inputs.update`.
+            vehicle: the nominal one, in the paper's units; not used without `Inputs.hull`.
         """
         self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs
@@ -130,7 +130,7 @@ class ResidualPolicy(Batched):
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
-        self._vehicle = vehicle if inputs.hull else PAPER_VEHICLE.coefficients  # else all vehicles share one kernel
+        self._vehicle = vehicle if inputs.hull else PAPER_VEHICLE  # else all vehicles share one kernel
         self._buffers: tuple[int, _Buffers] | None = None
         self._buffers_for(1)  # compiles the kernels before the first action
 

@@ -11,11 +11,13 @@ from auv_gym.physics.namespaces import ARRAYS, tensors
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios import vehicles as vehicle_names
-from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
-from baselines.agents.features import LARGEST_FEATURE, VEHICLE_FEATURES, Inputs
+from baselines.agents.features import INTEGRALS, LARGEST_FEATURE, VEHICLE_FEATURES, Inputs
+from baselines.agents.filters import MEMORY_ENTRIES, SHARED
+from baselines.agents.names import agent_folder
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.training import vehicle_models
@@ -119,7 +121,7 @@ def test_a_model_error_changes_ratios_only_and_keeps_the_vehicle_slender():
 
 
 def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
-    """The expert, the filters and the features of a loop with several hulls are those of policies made for each."""
+    """Expert, filters and features of a loop with several vehicles are those of policies made for each."""
     known = [PAPER_VEHICLE, OTHER]
     expert = Backstepping()
     loop = ClosedLoop(law_of(expert)[0], TOLD, informed=expert)
@@ -140,6 +142,24 @@ def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
             mine = [float(np.broadcast_to(row, 1)[0]) for row in own]
             np.testing.assert_allclose(mine, [np.broadcast_to(row, 2)[i] for row in features], rtol=1e-9)
         observation, *_ = env.step(rng.uniform(-0.5, 0.5, (2, 2)))
+
+
+@pytest.mark.parametrize("name", ["eca-a9", "lauv", "remus100"])
+def test_filters_of_an_agent_use_the_whole_model(name):
+    """In calm water there is no sway load; the side force of a rudder and cross-flow are no load, either."""
+    scenario = in_vehicle_units(changed(PRESETS["cruise-calm"], name))
+    env = UnderactuatedAUVTrackVectorEnv(8, scenario)
+    agent = Agent.load(agent_folder("helm-any")).policy(vehicle=scenario.vehicle)
+    without = Agent.load(agent_folder("helm-any")).policy(vehicle=Vehicle(*scenario.vehicle.coefficients))
+    (observation, _), law = env.reset(seed=0), Backstepping(vehicle=scenario.vehicle)
+    row, loads, memories = INTEGRALS + SHARED + MEMORY_ENTRIES.index("Y"), [], [None, None]
+    for _ in range(200):
+        seen = np.hstack((observation, np.zeros((8, len(agent.preview) * 2))))
+        memories = [p.predict(seen, m)[1] for p, m in zip((agent, without), memories, strict=True)]
+        loads.append([np.abs(memory[0][:, row]).mean() for memory in memories])
+        observation, *_ = env.step(law.predict(observation)[0])
+    whole, part = np.mean(loads, axis=0)
+    assert whole < 0.25 * part
 
 
 def test_vehicle_features_are_bounded_and_equal_the_table():

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.rows import filled, leaves
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETERS, Coefficients, Vehicle, with_names
 from auv_gym.task import simulation
 from auv_gym.task.observation import Observation, action_of, decode, encode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
@@ -87,7 +87,7 @@ class ClosedLoop:
     ) -> tuple[Number, Number]:
         """Return the law's action for an observation without its preview; `known` are the nominal models."""
         o = decode(observation, ns)
-        law = with_model(self.informed, Coefficients._make(known)) if self.informed else self.law
+        law = with_model(self.informed, with_names(known)) if self.informed else self.law
         return action_of(law(o, ns), o, ns)
 
     def features(
@@ -109,11 +109,11 @@ class ClosedLoop:
             correction: the previous one.
             integrals: memory of the features.
             ns: the namespace of the numbers.
-            known: the coefficients of the nominal model.
+            known: the nominal models, `known_rows` of them.
         """
         o = Observation._make(decode(observation, ns))
         preview = preview_columns(ahead, o, ns, self.parts.span)
-        return self.inputs.update(o, preview, base, correction, integrals, ns, Coefficients._make(known))
+        return self.inputs.update(o, preview, base, correction, integrals, ns, with_names(known))
 
     def move(
         self,
@@ -145,6 +145,11 @@ class ClosedLoop:
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
         return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, step_loss)
+
+
+def known_rows(parts: Parts) -> int:
+    """Return the number of rows of nominal models: `Vehicle.all_coefficients`, with cross terms if any vehicle has."""
+    return len(PARAMETERS) if parts.crossed else len(Coefficients._fields)
 
 
 def with_model(expert: Backstepping, known: Coefficients) -> Forces:

@@ -15,11 +15,11 @@ from auv_gym.codegen.derivatives import gradient
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.task.observation import ERROR_TERMS, SIZE, Observation
 from auv_gym.task.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
 from baselines.agents.networks import OUTPUTS
-from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
+from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved, known_rows
 
 _Symbols = Sequence[Symbol]
 _Results = Mapping[str, _Symbols]
@@ -54,8 +54,6 @@ FIXED = frozenset(
     ("parameters", "chosen", "known", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
 """Arrays without a time axis."""
-KNOWN_ROWS = len(Coefficients._fields)
-"""Number of rows of the nominal models, the `Coefficients` of each vehicle, if they are inputs of the network."""
 _PAPER = PAPER_VEHICLE.coefficients
 
 
@@ -161,7 +159,7 @@ class LoopKernels:
     @property
     def _seen(self) -> dict[str, int]:
         inputs = self.loop.inputs
-        known = {"known": KNOWN_ROWS} if inputs.hull else {}
+        known = {"known": known_rows(self.loop.parts)} if inputs.hull else {}
         return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
 
     def _moved(

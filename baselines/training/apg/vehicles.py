@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.sub_environments import ReadyEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE_ROWS, Parts
 from baselines.agents.features import STANDARD
 from baselines.agents.networks import OUTPUTS
+from baselines.training.apg.closed_loop import known_rows
 from baselines.training.apg.window import Carried
 
 TRIALS = 4  # largest number of scenarios that are tried for an episode whose path cannot be planned
@@ -38,7 +39,7 @@ class TrainingVehicles:
 
     Attributes:
         begins: whether an episode began at the last renewal, shape (N,).
-        known: the coefficients of the nominal models of the vehicles, shape (len(Coefficients._fields), N).
+        known: the nominal models of the vehicles, shape (`known_rows`, N), see `Vehicle.all_coefficients`.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class TrainingVehicles:
         self._sub_envs.parts = reduce(Parts.joined, {s.parts: None for own in self._variants for s in own})
         self._seed, self._window = seed, window
         self._model, self._rng = model, np.random.default_rng([seed, n, 1])
-        self.known: Array = np.empty((len(Coefficients._fields), n))
+        self.known: Array = np.empty((known_rows(self.parts), n))
         self._set_known(self._sub_envs.all)
         self._steps = np.array([s.steps for s in scenarios])
         self._failed = np.array([s.lost_distance**2 for s in scenarios])
@@ -118,7 +119,8 @@ class TrainingVehicles:
         """Set the nominal models of new episodes."""
         for i in indices.tolist():
             vehicle = self._sub_envs.scenarios[i].vehicle
-            self.known[:, i] = (self._model(vehicle, self._rng) if self._model else vehicle).coefficients
+            nominal = self._model(vehicle, self._rng) if self._model else vehicle
+            self.known[:, i] = (*nominal.coefficients, *nominal.cross_terms)[: len(self.known)]
 
     def _planned(self, indices: NDArray[np.int64]) -> list[ReadyEpisodes]:
         """Return the next episodes of some vehicles; if a path cannot be followed, their next scenarios are tried."""

@@ -14,8 +14,8 @@ from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.task.observation import SIZE
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import OUTPUTS
-from baselines.training.apg.closed_loop import Loss
-from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels, RunConstants
+from baselines.training.apg.closed_loop import Loss, known_rows
+from baselines.training.apg.kernels import MOVED, LoopKernels, RunConstants
 from baselines.training.apg.passes import NetworkArrays, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
@@ -92,7 +92,7 @@ class Window:
         self._shares = np.full(n, 1 / n) if objective.shares is None else objective.shares
         chosen = (*authority, *objective.loss, self._shares / steps)  # a `RunConstants`
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
-        self._known = {"known": self._zeros(KNOWN_ROWS, n)} if inputs.hull else {}
+        self._known = {"known": self._zeros(known_rows(kernels.loop.parts), n)} if inputs.hull else {}
         self._d = {
             name: self._zeros(rows, n)
             for name, rows in (
@@ -158,7 +158,7 @@ class Window:
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             act: the expert, if it is not in the kernels.
-            known: the nominal models of the vehicles, shape (KNOWN_ROWS, N), if they are inputs of the network.
+            known: the nominal models of the vehicles, shape (`known_rows`, N), if they are inputs of the network.
 
         Returns:
             The mean loss, without `evenness`, the mean position error [m], the state at the end of the window, which
