@@ -19,7 +19,7 @@ from tyro.conf import arg
 from auv_gym.scenarios.presets import CASES
 from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.scenarios.vehicles import vehicle_names
-from baselines.agents.names import agent_folder
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import (
@@ -36,7 +36,7 @@ from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
-from baselines.training.beginning import ALGO, weights_digest
+from baselines.training.beginning import ALGO
 from baselines.training.command import train
 from baselines.training.hyperparameters import (
     FINE_TUNING_FILE_NAME,
@@ -63,8 +63,8 @@ _DISTURBED = tuple(case for case in CASES if case != "calm")
 class Options:
     """Fine-tune an agent to vehicles and compare it with the agent and with controllers on held-out episodes.
 
-    Rows in the file are not measured again. If the weights of the agent have changed, the rows of the agent and of
-    the agents tuned from it are. Interrupted trainings continue.
+    Rows in the file are not measured again. If the agent or the code that runs it has changed, the rows of the
+    agent and of the agents tuned from it are. Interrupted trainings continue.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
@@ -122,13 +122,13 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or _compared(options.agent)
-    record = still_valid(options, shipped_digest(options.agent))
+    record = still_valid(options, shipped_fingerprint(options.agent))
     status = DONE
     for vehicle in options.vehicle:
         kept = record["vehicles"].setdefault(vehicle, {})
         for name in names:
             if name not in kept:
-                found = _measured(name, vehicle, options, record["weights"])
+                found = _measured(name, vehicle, options, record["fingerprint"])
                 if own := found.pop("status", DONE):
                     status = max(status, own)
                     continue
@@ -139,34 +139,33 @@ def main(arguments: Sequence[str]) -> int:
     return status
 
 
-def shipped_digest(agent: str) -> str:
-    """Return the SHA-256 of the weights of an agent that ships.
+def shipped_fingerprint(agent: str) -> str:
+    """Return the fingerprint of an agent that ships.
 
     Raises:
-        OSError: the weights cannot be read.
         UsageError: the agent is not installed.
     """
-    if (folder := agent_folder(agent)) is None:
+    if not (found := fingerprint(agent)):
         raise UsageError(f"--agent {agent} is not installed: python -m research train-all {agent} --install trains it")
-    return weights_digest(folder)
+    return found
 
 
-def still_valid(options: Options, weights: str) -> dict[str, Any]:
+def still_valid(options: Options, own: str) -> dict[str, Any]:
     """Return the record of a file, without the rows that are out of date.
 
-    If the agent or the number of episodes differs, no row stays. If the weights of the agent have changed, its own rows
-    and those of the agents tuned from it go. Rows of agents tuned by another `recipe` go.
+    If the agent or the number of episodes differs, no row stays. If its fingerprint is not `own`, its rows and those
+    of the agents tuned from it go. Rows of agents tuned by another `recipe` go.
     """
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
-        return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
-    stale = (options.agent, TUNED) if record.get("weights") != weights else ()
-    own = recipe(options.timesteps)
+        return {"agent": options.agent, "fingerprint": own, "episodes": options.episodes, "vehicles": {}}
+    stale = (options.agent, TUNED) if record.get("fingerprint") != own else ()
+    chosen = recipe(options.timesteps)
     for vehicle, found in record["vehicles"].items():
         record["vehicles"][vehicle] = {
-            name: row for name, row in found.items() if name not in stale and row.get("set", own) == own
+            name: row for name, row in found.items() if name not in stale and row.get("set", chosen) == chosen
         }
-    return {**record, "weights": weights}
+    return {**record, "fingerprint": own}
 
 
 def _compared(agent: str) -> tuple[str, ...]:
@@ -174,12 +173,12 @@ def _compared(agent: str) -> tuple[str, ...]:
     return *CONTROLLERS, agent, TUNED
 
 
-def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
+def _measured(name: str, vehicle: str, options: Options, own: str) -> dict[str, Any]:
     """Return the row of a policy, which is trained first if necessary; {"status": ...} if its training failed."""
     if name != TUNED:
         return errors(name, vehicle, options.episodes)
-    # A fine-tuning that started from other weights must not be resumed.
-    folder, begin = options.runs / f"{vehicle}-{weights[:8]}", time.monotonic()
+    # A fine-tuning that started from another agent must not be resumed.
+    folder, begin = options.runs / f"{vehicle}-{own[:8]}", time.monotonic()
     resumed = folder.exists()
     training = replace(Training(), from_=options.agent, vehicle=vehicle, timesteps=options.timesteps)
     if status := train(request_of(training, folder, DEFAULT_JOBS)):

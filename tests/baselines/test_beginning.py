@@ -275,14 +275,14 @@ def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == ""  # all is there
 
 
-def test_rows_of_an_agent_with_other_weights_are_ignored(tmp_path):
+def test_rows_of_an_agent_with_another_fingerprint_are_ignored(tmp_path):
     rows = {name: {"steady_rmses": [[1.0]], "failed": 0} for name in ("helm", "backstepping", "tuned")}
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
-    record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
+    record = {"agent": "helm", "fingerprint": "old", "episodes": 1, "vehicles": {"otter": rows}}
     options.out.write_text(json.dumps(record), encoding="utf-8")
     assert fine_tuning.still_valid(options, "old") == record
     found = fine_tuning.still_valid(options, "new")
-    assert found["weights"] == "new"
+    assert found["fingerprint"] == "new"
     assert set(found["vehicles"]["otter"]) == {"backstepping"}
     rows["tuned"]["set"] = ["another"]
     options.out.write_text(json.dumps(record), encoding="utf-8")
@@ -299,7 +299,7 @@ def test_the_page_shows_the_shipped_agent():
     """And it is tuned as the hyper-parameters say."""
     kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
     assert {tuple(found["tuned"]["set"]) for found in kept["vehicles"].values()} == {tuple(fine_tuning.recipe())}
-    assert kept["weights"] == fine_tuning.shipped_digest(kept["agent"]), "run python -m research fine-tuning"
+    assert kept["fingerprint"] == fine_tuning.shipped_fingerprint(kept["agent"]), "run python -m research fine-tuning"
 
 
 def test_the_readme_compares_tuned_agents_with_the_best_controllers():
