@@ -230,6 +230,7 @@ def test_examples_are_listed(copy):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_docs_are_built_without_a_warning(copy, browser):
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")
