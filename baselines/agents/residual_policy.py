@@ -42,7 +42,7 @@ def feature_kernel(
     Args:
         inputs: features of the network.
         forces: of the expert, if it is a law. None: the expert's action `base` is an input of the kernel.
-        vehicle: the nominal one, in the paper's units; not used without `Inputs.hull`.
+        vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         units: in which the features are computed from an observation in SI units. By default nothing is scaled.
     """
     factors, model = () if units == Units() else shown_factors(units), with_names(vehicle.all_coefficients)
@@ -122,7 +122,7 @@ class ResidualPolicy(Batched):
             inputs: features of the network.
             precision: of the network, "float64" or "float32".
             speeds: see `Batched`.
-            vehicle: the nominal one, in the paper's units; not used without `Inputs.hull`.
+            vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         """
         self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs

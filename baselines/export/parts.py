@@ -120,8 +120,7 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} must be a law without memory")
     record = read_json(folder / AGENT_FILE)
     forces = cast(Law, expert).forces
-    observed = scaled if agent.inputs.hull else PAPER_VEHICLE
-    see = feature_kernel(agent.inputs, forces, observed, Units.of(known))
+    see = feature_kernel(agent.inputs, forces, scaled, Units.of(known))
     network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
     return Exported(folder.name, agent, record["weights_sha256"], see, network, command, known, span)
 

@@ -149,9 +149,9 @@ def test_filters_of_an_agent_use_the_whole_model(name):
     """In calm water there is no sway load; the side force of a rudder and cross-flow are no load, either."""
     scenario = in_vehicle_units(changed(PRESETS["cruise-calm"], name))
     env = UnderactuatedAUVTrackVectorEnv(8, scenario)
-    agent = Agent.load(agent_folder("helm-any")).policy(vehicle=scenario.vehicle)
-    without = Agent.load(agent_folder("helm-any")).policy(vehicle=Vehicle(*scenario.vehicle.coefficients))
-    (observation, _), law = env.reset(seed=0), Backstepping(vehicle=scenario.vehicle)
+    own, helm_any = scenario.vehicle, Agent.load(agent_folder("helm-any"))
+    agent, without = (helm_any.policy(vehicle=vehicle) for vehicle in (own, Vehicle(*own.coefficients)))
+    (observation, _), law = env.reset(seed=0), Backstepping(vehicle=own)
     row, loads, memories = INTEGRALS + SHARED + MEMORY_ENTRIES.index("Y"), [], [None, None]
     for _ in range(200):
         seen = np.hstack((observation, np.zeros((8, len(agent.preview) * 2))))

@@ -88,7 +88,7 @@ class LoopKernels:
             features, following = self.loop.features(*seen, SYMBOLS, known or _PAPER)
             return {"features": features, "following": following, **({} if base else {"base": action})}
 
-        return self._traced(equation, self._seen if self.exact else self._seen | {"base": OUTPUTS})
+        return self._traced(equation, self.seen if self.exact else self.seen | {"base": OUTPUTS})
 
     @cached_property
     def observe_adjoint(self) -> Kernel:
@@ -127,7 +127,7 @@ class LoopKernels:
             "d_base": OUTPUTS,
             "d_integrals": self.loop.inputs.memory,
         }
-        return self._traced(equation, self._seen | {"base": OUTPUTS} | after)
+        return self._traced(equation, self.seen | {"base": OUTPUTS} | after)
 
     @cached_property
     def move(self) -> Kernel:
@@ -157,7 +157,8 @@ class LoopKernels:
         return self._traced(equation, MOVED | after)
 
     @property
-    def _seen(self) -> dict[str, int]:
+    def seen(self) -> dict[str, int]:
+        """Inputs of the features with their numbers of rows; `known` if the network has the nominal models."""
         inputs = self.loop.inputs
         known = {"known": known_rows(self.loop.parts)} if inputs.hull else {}
         return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known

@@ -14,7 +14,7 @@ from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.task.observation import SIZE
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import OUTPUTS
-from baselines.training.apg.closed_loop import Loss, known_rows
+from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import MOVED, LoopKernels, RunConstants
 from baselines.training.apg.passes import NetworkArrays, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
@@ -92,7 +92,7 @@ class Window:
         self._shares = np.full(n, 1 / n) if objective.shares is None else objective.shares
         chosen = (*authority, *objective.loss, self._shares / steps)  # a `RunConstants`
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
-        self._known = {"known": self._zeros(known_rows(kernels.loop.parts), n)} if inputs.hull else {}
+        self._known = {name: self._zeros(rows, n) for name, rows in kernels.seen.items() if name == "known"}
         self._d = {
             name: self._zeros(rows, n)
             for name, rows in (
