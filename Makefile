@@ -2,14 +2,16 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
+# Python compiles what is imported; to compile every module at once takes a minute.
+unexport PYTHONDONTWRITEBYTECODE
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 ARGS =
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test test-all soak oldest matrix lint typecheck format bench train train-all pages verify examples docs package clean
+.PHONY: help demo video test commands test-all soak oldest matrix lint typecheck format bench train train-all pages verify examples docs package clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -28,22 +30,17 @@ video: $(VENV)/demo.stamp ## record expert, EKF + MPC and agent in a usual storm
 	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
 
-# One thread a worker and no window: the workers share the machine.
-test test-all: export OMP_NUM_THREADS = 1
-test test-all: export OPENBLAS_NUM_THREADS = 1
-test test-all: export MKL_NUM_THREADS = 1
-test test-all: export MPLBACKEND = Agg
-test test-all: export SDL_AUDIODRIVER = dummy
-test test-all: export SDL_VIDEODRIVER = dummy
 PYTEST = $(BIN)/python -m pytest -n 2 --dist worksteal
 
 test: lint typecheck ## lint, typecheck and run the tests, without the slow ones
 	$(PYTEST) -m "not slow" --durations 10 $(ARGS)
 
+commands: $(VENV)/dev.stamp ## run the verbs and the lines of the pages, in a quick form
+	$(PYTEST) -m "slow and not long" --durations 10 tests/test_commands.py
+
 # The longest tests come first, so that no worker waits for the other one at the end.
-SLOW = slow
 test-all: test ## the tests, the slow ones too, and those of equations once more without a compiler
-	$(PYTEST) --dist load --maxschedchunk 1 -m "$(SLOW)" --durations 10 tests/test_commands.py tests
+	$(PYTEST) --dist load --maxschedchunk 1 -m slow --durations 10 tests/test_commands.py tests
 	AUV_GYM_NATIVE=0 $(PYTEST) -m "not slow" -k "$(UNCOMPILED)" $(EQUATIONS)
 
 # The tests of equations run once more as on a machine without a compiler.
@@ -60,7 +57,6 @@ soak: $(VENV)/dev.stamp ## hours: 50 million random steps, damaged files of ever
 	$(BIN)/python tests/mutants.py --count 60 --seed 2
 
 # In an environment of its own; without torch, whose old versions are gigabytes.
-oldest: export OMP_NUM_THREADS = 1
 oldest: ## the tests of auv_gym with the oldest versions of its dependencies that are allowed
 	$(PYTHON) -m venv --clear build/oldest
 	build/oldest/bin/python -m pip install --quiet uv
@@ -68,7 +64,6 @@ oldest: ## the tests of auv_gym with the oldest versions of its dependencies tha
 	build/oldest/bin/python -m pytest -q tests/auv_gym $(ARGS)
 
 VERSIONS = 3.10 3.11 3.12 3.13 3.14
-matrix: export OMP_NUM_THREADS = 1
 matrix: ## the same with the newest ones, for each Python, found or downloaded by uv: VERSIONS="3.10 3.14"
 	$(PYTHON) -m venv --clear build/uv
 	build/uv/bin/python -m pip install --quiet uv

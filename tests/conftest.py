@@ -1,4 +1,4 @@
-"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower."""
+"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower; and no window."""
 
 import importlib.util
 import os
@@ -11,6 +11,9 @@ from hypothesis import settings
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+for variable in ("SDL_AUDIODRIVER", "SDL_VIDEODRIVER"):
+    os.environ.setdefault(variable, "dummy")
 
 OPTIONAL = ("casadi", "minari", "onnxruntime", "playwright", "pygame", "stable_baselines3", "torch")
 """Libraries of extras: tests that import one are left out where it is not installed, as with the oldest versions."""

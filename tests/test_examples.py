@@ -34,7 +34,6 @@ def test_an_unknown_example_is_refused(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["sb3"])
 def test_examples_with_installed_libraries_run(name, tmp_path):
     done = subprocess.run(

@@ -40,11 +40,13 @@ def built(tmp_path_factory):
     return wheel, sdist, package.wheel_of(sdist, folder / "again", *HERE)
 
 
+@pytest.mark.slow
 def test_the_package_is_small_and_equal_to_that_of_the_source_distribution(built, capsys):
     package.checked(*built)
     assert "MB of at most 3" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_both_packages(built):
     names = {name for name in package.contents(built[0]) if ".dist-info/" not in name}
     there = {
@@ -56,6 +58,7 @@ def test_the_wheel_holds_both_packages(built):
     assert {name for name in there if not (name.startswith("baselines/agents") and name.endswith(".png"))} == names
 
 
+@pytest.mark.slow
 def test_metadata(built):
     found = package.contents(built[0])
     [text] = (content for name, content in found.items() if name.endswith(".dist-info/METADATA"))

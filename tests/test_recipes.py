@@ -97,6 +97,7 @@ assert observation.shape == (2, 19) and (observation[:, 18] == 1).all()
 """
 
 
+@pytest.mark.slow
 def test_a_term_of_the_observation(copy):
     apply("Add a term to the observation", copy)
     assert "| 18  | fix " in python(copy, "-c", TERM)
@@ -109,6 +110,7 @@ def test_a_constant_of_an_episode(copy):
     python(copy, "-c", CONSTANT)
 
 
+@pytest.mark.slow
 def test_an_option_and_a_column(copy):
     apply("Add an option", copy)
     apply("Add a column to the report", copy)

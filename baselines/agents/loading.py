@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from auv_gym.installation import install
@@ -77,16 +77,13 @@ def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
 
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:
-    with file.open("rb"):
-        pass  # raises OSError if it cannot be read
-    name = f"user_policy_{file.stem}"
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look up their module here
+    source = file.read_bytes()  # raises OSError if it cannot be read
+    module = ModuleType(f"user_policy_{file.stem}")
+    module.__file__ = str(file)
+    sys.modules[module.__name__] = module  # dataclasses look up their module here
     try:
-        spec.loader.exec_module(module)
+        # Not imported: the bytecode that an import keeps is stale if the file changes within a second.
+        exec(compile(source, file, "exec"), vars(module))
     except (Exception, SystemExit) as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     make = getattr(module, factory, None)

@@ -63,8 +63,8 @@ def assert_same(native, own):
         (TASKS[0], "numpy", {}),
         (TASKS[1], "numpy", {"authority": 0.3}),
         (TASKS[1], "numpy", {"expert": "integral"}),  # an expert with memory
-        pytest.param(TASKS[0], "torch", {}, marks=[pytest.mark.slow, pytest.mark.long]),
-        pytest.param(TASKS[1], "torch", {"authority": 0.3}, marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param(TASKS[0], "torch", {}, marks=pytest.mark.slow),
+        pytest.param(TASKS[1], "torch", {"authority": 0.3}, marks=pytest.mark.slow),
     ],
 )
 def test_equals_the_vector_environment_of_gymnasium_in_every_mode(task, backend, options, mode):
@@ -142,7 +142,7 @@ def test_an_id_of_a_preset_makes_vector_environments():
         assert env.spec.max_episode_steps == 600
 
 
-@pytest.mark.parametrize("backend", ["numpy", pytest.param("torch", marks=[pytest.mark.slow, pytest.mark.long])])
+@pytest.mark.parametrize("backend", ["numpy", pytest.param("torch", marks=pytest.mark.slow)])
 def test_max_episode_steps_truncates_vector_environments(backend):
     env = gym.make_vec(f"{TASKS[0]}-slow-calm-v0", 2, "vector_entry_point", max_episode_steps=3, backend=backend)
     env.reset(seed=0)

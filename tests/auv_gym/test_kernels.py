@@ -114,6 +114,7 @@ print(seen.hexdigest())
 
 @pytest.mark.skipif(not native.wanted() or native.compiler() is None, reason="bits are those of compiled code")
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
+@pytest.mark.slow
 def test_bits_do_not_depend_on_the_compiler(tmp_path):
     """Nor on its level of optimisation, or on the instruction set, which one of them does not use."""
     slow = tmp_path / "unoptimised"

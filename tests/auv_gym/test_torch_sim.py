@@ -231,6 +231,7 @@ def compiled():
     return TorchSimulator(2, dtype="float32")._step
 
 
+@pytest.mark.slow
 def test_compiled_equals_eager_at_several_sizes(compiled):
     assert not hasattr(compiled, "func"), "compilation fell back to the eager function"
     for n in (5, 70):
@@ -241,6 +242,7 @@ def test_compiled_equals_eager_at_several_sizes(compiled):
                 np.testing.assert_allclose(ours.numpy(), exact.numpy(), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_make_vec_returns_the_compiled_environment(compiled):
     env = gym.make_vec(TRACK, 5, "vector_entry_point", backend="torch", scenario="cruise-storm")
     assert env.unwrapped._step is compiled
@@ -255,7 +257,6 @@ def test_make_vec_returns_the_compiled_environment(compiled):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch reads it, and hides its own warning
 def test_compiled_gradients_equal_eager_gradients(compiled):
     grads = []
@@ -284,7 +285,6 @@ print(sum("C++ compiler" in str(w.message) for w in caught))
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_without_a_compiler_there_is_one_warning_and_the_step_is_eager(tmp_path):
     kept = {k: v for k, v in os.environ.items() if k not in ("CXX", "CC")}
     hidden = {**kept, "PATH": str(tmp_path), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}

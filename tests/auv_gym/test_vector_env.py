@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
+from marks import slow_except
 
 from auv_gym.envs.sub_environments import SubEnvironments, plan_of, planner_of, reference_table
 from auv_gym.scenarios.exogenous import ExogenousInputs
@@ -161,7 +162,7 @@ def test_infeasible_draws_are_repeated_alike_in_all_environments():
 
 
 @pytest.mark.parametrize("n", [3, 7])  # drawn one by one, and as rows
-@pytest.mark.parametrize("backend", ["numpy", "torch"])
+@pytest.mark.parametrize("backend", slow_except(["numpy"], ["numpy", "torch"]))
 def test_an_infeasible_episode_changes_nothing(backend, n, monkeypatch):
     if backend == "torch":
         pytest.importorskip("torch")

@@ -43,7 +43,7 @@ CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", False, INPUTS[1]),
     ("none", True, INPUTS[2]),
     ("ekf", True, INPUTS[1]),
-    ("backstepping", True, INPUTS[3]),
+    pytest.param("backstepping", True, INPUTS[3], marks=pytest.mark.slow),
     ("current-observer", False, INPUTS[0]),
 ]
 
@@ -81,7 +81,9 @@ def native(request, monkeypatch):
 
 
 @pytest.mark.usefixtures("native")
-@pytest.mark.parametrize(("expert", "memory", "inputs"), [*CASES, ("backstepping", False, TOLD)])
+@pytest.mark.parametrize(
+    ("expert", "memory", "inputs"), [*CASES, pytest.param("backstepping", False, TOLD, marks=pytest.mark.slow)]
+)
 def test_gradient_equals_that_of_torch(expert, memory, inputs):
     n = len(inputs.features)
     sizes = Gru(n, 8, 6, 7) if memory else Mlp(n, (8, 6), bound="tanh")
@@ -290,7 +292,6 @@ def rows(run):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]

@@ -36,6 +36,7 @@ from baselines.training.run_folder import RunFolder, read_config, read_progress
 from research.trainings import fine_tuning
 
 torch.set_num_threads(1)
+pytestmark = pytest.mark.slow  # nearly all use agents that are trained for them
 SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
 SLOW = replace(PRESETS["slow-current"], name="slow-small", steps=15)
 TINY = {"n_envs": 8, "n_steps": 5, "hidden_size": 8, "effort_weight": 0.25, "validations": 2}

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_except
 from scipy.linalg import expm
 
 import baselines
@@ -56,7 +57,7 @@ def test_the_vehicle_stays_on_the_reference_in_calm_water(name, speed):
     assert errors.max() < 2e-3 * speed
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", slow_except(["integral"], NAMES))
 def test_a_constant_current_gives_no_steady_error_on_a_line_and_little_on_a_circle(name):
     """With gains whose integral converges within the run."""
     gains = {**load_gains(name, "slow", gain_names(name), "start"), **INTEGRATING[name]}

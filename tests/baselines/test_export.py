@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_except
 
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -32,7 +33,6 @@ from research.deployment import emulator, measure
 from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
-LONG = [pytest.mark.slow, pytest.mark.long]
 KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "helm")
 """Agents of all kinds: recurrent, with filters, with a preview, without expert, tanh and relu layers, long memory."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
@@ -68,7 +68,7 @@ def commands(repeatable, policy):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=LONG if n.startswith("helm-") else ()) for n in shipped_agents()]
+    "name", slow_except(["helm", "apg-scratch-cruise", "ppo-lstm-slow", "td3-slow"], shipped_agents())
 )
 def test_model_and_header_give_the_actions_of_the_agent_in_closed_loop(name):
     require_compiler()
@@ -79,6 +79,7 @@ def test_model_and_header_give_the_actions_of_the_agent_in_closed_loop(name):
         assert np.abs(commands(run, policy) - expected).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["apg-preview-cruise", "helm-any"])
 def test_model_and_header_give_the_actions_of_the_agent_for_another_vehicle(name):
     """With and without the vehicle's parameters as inputs of the agent; measurements are in SI units."""
@@ -97,7 +98,7 @@ def test_model_and_header_give_the_actions_of_the_agent_for_another_vehicle(name
     assert agent.periods == pytest.approx([slower * dt for dt in exported(name).periods])
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", slow_except(["apg-preview-slow", "sac-slow"], KINDS))
 def test_single_precision_changes_actions_by_rounding_errors_only(name):
     require_compiler()
     agent, numpy, memory = exported(name), make_policy(name), None
@@ -128,7 +129,7 @@ def test_a_single_observation_gives_the_action_of_a_batch_and_memory_is_reset():
         assert np.abs(later[1:] - batch[1:]).max() > 1e-3
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("compiler", slow_except(["gcc"], ["gcc", "clang"]))
 @pytest.mark.parametrize(
     ("precision", "weights"), [("float32", "float32"), ("float64", "float32"), ("float32", "int8")]
 )
@@ -159,7 +160,7 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
 
 
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
-@pytest.mark.parametrize("name", ["apg-slow", "sac-slow", "helm-small"])
+@pytest.mark.parametrize("name", slow_except(["helm-small"], ["apg-slow", "sac-slow", "helm-small"]))
 def test_headers_are_cpp_too(tmp_path, compiler, name):
     """As programs for Arduino or ROS include the header: in one source file, or in two."""
     require(compiler)
@@ -206,7 +207,7 @@ class CompiledHeader:
         return self.call("steer", self.memory, view, self.command)
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", slow_except(["float64"], ["float32", "float64"]))
 @pytest.mark.parametrize("name", KINDS)
 def test_a_header_repeats_one_command_for_a_bad_input(name, precision):
     """For each measurement and each setting: the header repeats the last command, reports it, and keeps its memory."""

@@ -126,7 +126,6 @@ def test_gains_of_the_files(name):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_gain_of_the_files_has_an_effect(name):
     """Except `calm`: the sequence is too short for the filter for calm water to prevail."""

@@ -67,7 +67,6 @@ def test_half_of_each_group_has_drawn_models(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_gradients_do_not_depend_on_the_number_of_processes(weights):
     """Not in the last bit; nor on when a checkpoint is taken, and by how many processes it was left."""
     config, settings = grouped()

@@ -135,6 +135,7 @@ def test_derivatives_are_those_of_the_prediction(log):
     assert not numeric[400:].any()
 
 
+@pytest.mark.slow
 def test_what_a_straight_run_does_not_show_has_no_number(ahead):
     found = ahead
     assert found["m11"].verdict == found["d11"].verdict == IDENTIFIED
@@ -270,6 +271,7 @@ def test_a_wrong_file_is_one_line(text, says, tmp_path, monkeypatch, capsys):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(main, PROGRAM, ["log.csv", "--example", "--seed", "3"]) == 0
@@ -332,6 +334,7 @@ def test_episodes_of_an_ensemble_have_its_vehicles(found):
         replace(scenario, mismatch=replace(scenario.mismatch, vehicles=((1.0, 2.0),)))
 
 
+@pytest.mark.slow
 def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "identify", lambda *_: ahead)
@@ -344,6 +347,7 @@ def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp
     assert "m33 = 80.0  # [kg m^2] not from the log" in Path("out/vehicle.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_speeds_through_the_water_serve_too():
     log = example(PAPER_VEHICLE, Actuators(lag=0.4), NOISE, 1)
     c, s = np.cos(log.measured[:, 2]), np.sin(log.measured[:, 2])
@@ -356,6 +360,7 @@ def test_speeds_through_the_water_serve_too():
     assert found["m22"].value == pytest.approx(265, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_term_without_which_the_prediction_blows_up_stays(log, monkeypatch):
     refit = fit._Search._refit
 
@@ -372,7 +377,6 @@ def test_a_term_without_which_the_prediction_blows_up_stays(log, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_coverage_counts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(coverage, "_VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})

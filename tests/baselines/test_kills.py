@@ -10,7 +10,6 @@ SCRIPT = Path(__file__).parents[1] / "kills.py"
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="looks at processes in /proc")
 def test_what_is_killed_goes_on_to_the_same_result():
     done = subprocess.run(

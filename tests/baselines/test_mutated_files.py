@@ -13,7 +13,6 @@ COUNT = settings().max_examples // 5
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="measures memory by /proc")
 @pytest.mark.parametrize("kind", FORMATS)
 def test_damaged_files_are_refused_in_one_line_in_little_time_and_memory(kind):

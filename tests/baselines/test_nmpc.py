@@ -9,6 +9,7 @@ import pytest
 from casadi_solver import CasadiSolver
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from marks import slow_except
 from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
@@ -244,7 +245,7 @@ def test_the_horizon_has_the_same_length_at_a_shorter_control_period():
     np.testing.assert_allclose(targets(extra, pace), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["nmpc", "nmpc-adverse"])
+@pytest.mark.parametrize("name", slow_except(["nmpc"], ["nmpc", "nmpc-adverse"]))
 def test_a_shorter_control_period_does_not_increase_the_error(name):
     coarse = replace(preset("cruise-storm"), steps=200)
     fine = replace(coarse, control_dt=0.02, steps=1000)

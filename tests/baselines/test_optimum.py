@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_except
 from scipy.optimize import minimize
 
 from auv_gym.physics.namespaces import FLOATS
@@ -26,7 +27,7 @@ def optimum(scenario, episodes):
 
 
 @pytest.mark.parametrize("speed_range", ["slow", "cruise"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", slow_except(["storm"], CASES))
 def test_at_least_as_good_as_the_oracle_in_every_episode(speed_range, case):
     scenario = PRESETS[f"{speed_range}-{case}"]
     episodes = drawn(scenario, 12, 100).episodes

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marks import slow_except
 
 from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
@@ -18,7 +19,7 @@ from baselines.evaluation.runner import drawn
 
 
 @pytest.mark.parametrize("speed_range", ["slow", "cruise"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", slow_except(["storm", "actuator"], CASES))
 def test_better_than_the_expert_in_every_case(speed_range, case):
     scenario = PRESETS[f"{speed_range}-{case}"]
     episodes = drawn(scenario, 24, 100).episodes

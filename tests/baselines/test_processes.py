@@ -93,7 +93,7 @@ PROCESSES = 5  # the first, its two workers, and two that clean up behind it
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "end"),
-    [*ENDS, *(pytest.param("train.py", end, marks=pytest.mark.long) for end in (signal.SIGTERM, signal.SIGKILL))],
+    [*ENDS, ("train.py", signal.SIGTERM), ("train.py", signal.SIGKILL)],
 )
 def test_no_process_is_left_behind(program, end, tmp_path):
     """Two worker processes at work; a terminal sends its signal to all of them, others go to the first alone."""
@@ -123,7 +123,6 @@ def test_no_process_is_left_behind(program, end, tmp_path):
 
 @needs_proc
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.parametrize("end", [signal.SIGKILL, TERMINAL])
 def test_no_process_is_left_behind_of_one_training_in_two(end, tmp_path):
     SMALL.save(tmp_path / "small.toml")

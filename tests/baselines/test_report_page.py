@@ -181,7 +181,6 @@ def test_the_same_run_gives_the_same_page(pages, tmp_path):
     assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
 
 
-@pytest.mark.long
 def test_pictures_of_the_pages(browser, pages, tmp_path):
     """The command runs in another process, since Playwright allows one instance in each."""
     del browser  # only required

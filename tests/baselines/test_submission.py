@@ -103,6 +103,7 @@ def typed(line):
     raise AssertionError(line)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_commands_of_the_tutorial(capsys):
     """After all commands the controller is on the leaderboard, with the scores of evaluate.py."""
@@ -182,6 +183,7 @@ def test_a_file_has_the_results_of_the_runs(made):
         assert arrays["steady_rmse"].shape == (6,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
 def test_scores_of_files_equal_those_of_recorded_rows(name):
     """For the whole benchmark, with the anchors of each suite."""
@@ -437,6 +439,7 @@ def test_the_page_is_that_of_the_command():
     assert set(command.OWN) <= set(found[0].verified)
 
 
+@pytest.mark.slow
 def test_own_entries_equal_the_recorded_rows():
     for policy, file in command.own_files(ROOT / "leaderboard"):
         kept, now = read_submission(file), command.own_submission(command.SUITE, policy)

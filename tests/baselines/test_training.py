@@ -19,6 +19,7 @@ import torch
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import slow_except
 
 from auv_gym.installation import install
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
@@ -43,7 +44,6 @@ from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, tra
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[2]
-LONG = [pytest.mark.slow, pytest.mark.long]
 SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
 OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
 SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
@@ -89,7 +89,7 @@ def same(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
-@pytest.mark.parametrize("algo", [pytest.param(a, marks=() if a in ("apg", "ppo") else LONG) for a in ALGORITHMS])
+@pytest.mark.parametrize("algo", slow_except(["apg"], ALGORITHMS))
 def test_every_algorithm_gives_the_same_agent_after_an_interruption(algo, call, capsys, monkeypatch):
     assert call(*tiny(algo)) == 0
     out, err = capsys.readouterr()
@@ -297,6 +297,7 @@ def test_a_folder_in_use_is_rejected(call, capsys):
     assert call(*tiny("ppo")) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"\xff", b"timesteps\n1,2"])
 def test_damaged_progress_is_one_line(damage, call, capsys):
     assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 0
@@ -312,6 +313,7 @@ def test_damaged_progress_is_one_line(damage, call, capsys):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_damaged_anchor_errors_are_measured_again(call):
     assert call(*tiny("ppo")) == 0
     before = Path("out/validation.json").read_text()
@@ -322,7 +324,7 @@ def test_damaged_anchor_errors_are_measured_again(call):
         assert Path("out/validation.json").read_text() == before
 
 
-@pytest.mark.parametrize("missing", ["yaml", "filelock", "stable_baselines3"])
+@pytest.mark.parametrize("missing", slow_except(["yaml"], ["yaml", "filelock", "stable_baselines3"]))
 def test_the_message_without_a_library(missing):
     code = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['train.py', '--algo', 'ppo']; import runpy\n"
     code += f"runpy.run_path({str(ROOT / 'train.py')!r}, run_name='__main__')"
@@ -375,7 +377,7 @@ def test_agent_records_its_training(call):
     assert agent.training["validation"]["score"] == max(scores)
 
 
-@pytest.mark.parametrize("drawn_hulls", [0.0, 0.5])
+@pytest.mark.parametrize("drawn_hulls", slow_except([0.5], [0.0, 0.5]))
 def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_hulls):
     """The best one; where hulls are drawn, which are not validated, the last one."""
     monkeypatch.setattr("baselines.training.vehicle_models.SEVERAL", 1)

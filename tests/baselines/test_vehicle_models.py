@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from marks import slow_except
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS, tensors
@@ -144,7 +145,7 @@ def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
         observation, *_ = env.step(rng.uniform(-0.5, 0.5, (2, 2)))
 
 
-@pytest.mark.parametrize("name", ["eca-a9", "lauv", "remus100"])
+@pytest.mark.parametrize("name", slow_except(["lauv"], ["eca-a9", "lauv", "remus100"]))
 def test_filters_of_an_agent_use_the_whole_model(name):
     """In calm water there is no sway load; the side force of a rudder and cross-flow are no load, either."""
     scenario = in_vehicle_units(changed(PRESETS["cruise-calm"], name))

@@ -207,6 +207,7 @@ def test_message_without_pygame_says_what_to_install(monkeypatch, tmp_path):
         command.main(["--seconds", "0.1", "--out", str(tmp_path / "video.gif")])
 
 
+@pytest.mark.slow
 def test_caption_of_the_video_in_the_documentation():
     """The seed and the numbers of the caption are those of the command in the Makefile, and the file is small."""
     caption = re.search(

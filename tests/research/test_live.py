@@ -18,7 +18,7 @@ from research.site.live import page as live_page
 from research.site.live.data import LIVE_STEPS, episode_of, path_of, scenario_of
 from research.site.live.page import LARGEST_PAGE, links, write_page
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]  # a browser runs whole episodes
+pytestmark = pytest.mark.slow  # a browser runs whole episodes
 
 
 @pytest.fixture(scope="module")

@@ -36,6 +36,7 @@ def few(monkeypatch):
     monkeypatch.setattr(model_error, "ERROR_SIZES", (0.6,))
 
 
+@pytest.mark.slow
 def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
     """The planned forces do not depend on the given model; the paper's law cancels terms of its model."""
     without = model_error.with_wrong_models("open-loop", "cruise", 6)

@@ -90,6 +90,7 @@ def test_a_folder_with_too_few_runs_is_refused(tmp_path):
         vessels.runs_of("kvlcc2-hsva", tmp_path)
 
 
+@pytest.mark.slow
 def test_every_run_is_predicted_once_by_a_model_of_the_others(monkeypatch):
     sensors = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)
     logs = {name: example(PAPER_VEHICLE, Actuators(lag=0.4), sensors, k) for k, name in enumerate("abc")}

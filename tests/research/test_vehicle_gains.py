@@ -109,6 +109,7 @@ def test_the_command_adds_its_results_to_the_file(tmp_path):
     assert found["error"]["units"] != found["error"]["parameters"] == found["error"]["searched"]
 
 
+@pytest.mark.slow
 def test_an_agent_is_compared_with_predictive_control_with_both_gains(tmp_path, capsys):
     """If the searched gains are those from the parameters, both rows of predictive control are the same."""
     out = tmp_path / "found.json"

@@ -150,7 +150,6 @@ def test_the_optimum_of_a_similar_vehicle_is_similar():
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_with_active_limits_a_receding_horizon_gives_a_better_optimum_than_the_oracle():
     """A torpedo with lift and small fins in a storm: started at the commands of the oracle, the solver ends badly."""
     scenario = as_scenario("cruise-storm@remus100")
