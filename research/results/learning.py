@@ -32,8 +32,6 @@ from research.results.study_files import Study, load_studies
 _SHORT = "short-"  # prefix of the short trainings that differ from `short-cruise` in one setting
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}
 """The strongest controller without learning, by suite."""
-ONE_SEED = "helm-any"
-"""Agent without a study; the agent that it starts from has one."""
 _SEALED = "sealed-v1"
 _HEADS = ("agent", "seeds", "score", "lead", "95 %", "held-out lead", "95 %", "failures", "command rate")
 
@@ -45,25 +43,13 @@ def context(_: str = "") -> dict[str, Any]:
     new = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {
-            name: (
-                rival,
-                table(_HEADS, lead_rows(found[name], new.get(name), studies | recorded_study(found[name]), rival)),
-            )
+            name: (rival, table(_HEADS, lead_rows(found[name], new.get(name), studies, rival)))
             for name, rival in _RIVALS.items()
         },
         "opened": table(("agent", *(f"lead over {r}" for r in _RIVALS.values()), "failures"), _opened(found[_SEALED])),
         "against_expert": table(("agent", *found, "all", "episodes"), _against_expert(found)),
         "parts": table(("training", "score", "95 %", "failures"), _short_rows(found["benchmark-v2"], studies)),
     }
-
-
-def recorded_study(results: Results) -> dict[str, Study]:
-    """Return the recorded runs of `ONE_SEED` in a suite as studies of one seed."""
-    found = {}
-    for speed_range in SPEED_RANGES:
-        in_suite = {results.suite.source[0]: [results.runs_of(ONE_SEED, speed_range)]}
-        found[f"{ONE_SEED}-{speed_range}"] = Study.of("", speed_range, "", in_suite, [[]])
-    return found
 
 
 def held_out_results() -> list[Results]:

@@ -16,10 +16,13 @@ from baselines.agents.names import SHIPPED_FOLDER
 from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
+from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT_FOLDER
 from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research train-all"
+SHIPPED_RUNS = Path("runs/shipped")
+"""Folder of the trainings of the shipped agents."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Options:
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """Names of agents. Default: all."""
-    out: Path = Path("runs/shipped")
+    out: Path = SHIPPED_RUNS
     """Folder of the runs."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Control steps of each training, for a trial run. Default: those of the shipped agents."""
@@ -67,12 +70,17 @@ def trained(name: str, out: Path, timesteps: int | None = None) -> int:
         The exit status.
     """
     training = (FIRST_TRAININGS | SHIPPED_TRAININGS)[name]
-    if (first := training.from_) in FIRST_TRAININGS:
-        if (status := trained(first, out, timesteps)) != DONE:
-            return status
-        training = replace(training, from_=str(out / first / AGENT_FOLDER))
+    if training.from_ in FIRST_TRAININGS and (status := trained(training.from_, out, timesteps)) != DONE:
+        return status
     print(f"{name}:", flush=True)
-    return train(request_of(replace(training, timesteps=timesteps or training.timesteps), out / name, DEFAULT_JOBS))
+    training = replace(with_start(training, out), timesteps=timesteps or training.timesteps)
+    return train(request_of(training, out / name, DEFAULT_JOBS))
+
+
+def with_start(training: Training, out: Path) -> Training:
+    """Return a training that starts from the agent in `out`/NAME if it starts from NAME of `FIRST_TRAININGS`."""
+    first = training.from_
+    return replace(training, from_=str(out / first / AGENT_FOLDER)) if first in FIRST_TRAININGS else training
 
 
 def install_agent(name: str, run_folder: Path) -> None:

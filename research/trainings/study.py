@@ -26,7 +26,7 @@ from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
 from baselines.training.run_folder import AGENT_FOLDER, read_progress
 from research.results.study_files import STUDIES_FOLDER, Study, save_study
-from research.trainings.shipped import install_agent
+from research.trainings.shipped import SHIPPED_RUNS, install_agent, with_start
 from research.trainings.trainings import (
     ERROR_ONLY,
     FIRST_TRAININGS,
@@ -39,8 +39,8 @@ from research.trainings.trainings import (
 )
 
 PROGRAM = "python -m research study"
-OF_ALL_VEHICLES = "helm-any-first"
-"""Agent that also runs on the suites with other vehicles. `helm-any`, which starts from it, has one seed."""
+OF_ALL_VEHICLES = ("helm-any-first", "helm-any")
+"""Agents that also run on the suites with other vehicles."""
 OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v2")
 """Suites of the paper's vehicle."""
 
@@ -57,7 +57,7 @@ class Variant:
 
 
 _SEEDS = 5  # seeds of each shipped agent
-_LONG_SEEDS = 3  # seeds of `OF_ALL_VEHICLES`, whose training is the longest
+_LONG_SEEDS = 3  # seeds of `OF_ALL_VEHICLES`, whose trainings are the longest
 _SHORT = 3_000_000  # control steps of the trainings of `SHORT_TRAININGS`
 _FEW = 2  # seeds of the trainings of `SHORT_TRAININGS`
 
@@ -74,7 +74,8 @@ _FAMILIES: Mapping[str, str] = {
     "helm": "One agent for both speed ranges, with finer inputs for small errors, filters, and slewing actuators.",
     "helm-blind": "`helm` without a preview of the path.",
     "helm-small": "`helm` with a network of 2,004 weights.",
-    OF_ALL_VEHICLES: "`helm`, trained further on random vehicles; `helm-any` before its second training.",
+    "helm-any-first": "`helm`, trained further on random vehicles; `helm-any` before its second training.",
+    "helm-any": "`helm-any-first`, trained further with longer windows of more vehicles.",
     "apg-scratch": "Without an expert: the network gives the whole command.",
     "ppo": "A network without memory corrects the expert; it learns from rewards until its score stops rising.",
     "ppo-lstm": "The same with long short-term memory.",
@@ -111,8 +112,8 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     family, _, speed_range = name.rpartition("-")
     if speed_range in SPEED_RANGES:
         return {name: Variant(_FAMILIES[family], speed_range, replace(each, seeds=_SEEDS))}
-    own = replace(each, seeds=_LONG_SEEDS if name == OF_ALL_VEHICLES else _SEEDS)
-    where = RECORDED_SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
+    own = replace(each, seeds=_LONG_SEEDS if name in OF_ALL_VEHICLES else _SEEDS)
+    where = RECORDED_SUITES if name in OF_ALL_VEHICLES else OF_THE_PAPER
     return {
         f"{name}-{speed_range}": Variant(_FAMILIES[name], speed_range, own, where, name) for speed_range in SPEED_RANGES
     }
@@ -122,7 +123,6 @@ VARIANTS: Mapping[str, Variant] = {
     **{
         variant: own
         for name, each in (SHIPPED_TRAININGS | FIRST_TRAININGS).items()
-        if each.from_ not in FIRST_TRAININGS
         for variant, own in _shipped(name, each).items()
     },
     **BRIEF,
@@ -135,7 +135,8 @@ VARIANTS: Mapping[str, Variant] = {
 class Options:
     """Train the agents of the study with several seeds, run them on the frozen suites and record the results.
 
-    A second call resumes interrupted trainings. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    A second call resumes interrupted trainings. `helm-any` starts from the agent of its first training in runs/shipped.
+    Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
@@ -159,7 +160,7 @@ def main(arguments: Sequence[str]) -> int:
     for name in options.name or VARIANTS:
         variant = VARIANTS[name]
         agent = variant.runs or name
-        request = request_of(variant.training, options.out / agent, options.jobs)
+        request = request_of(with_start(variant.training, SHIPPED_RUNS), options.out / agent, options.jobs)
         if (status := train(request)) != DONE:
             return status
         if options.install and agent in SHIPPED_TRAININGS:
