@@ -52,6 +52,8 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "faults-v1"
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
+    r"python -m research faults .*": "test_faults.py::test_a_quick_form_of_the_command",
+    r"python -m research governed .*": "test_governed.py::test_a_quick_form_of_the_command",
     r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_later_runs_continue",
     r"python -m research falsification .*": "test_safety.py::test_search_writes_a_scenario_in_which_the_policy_fails",
     r"auv-gym --help": "test_package.py::test_the_command",
@@ -107,8 +109,6 @@ def quick(line):
         return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
         return [*words, "--episodes", "1", "--out", "bounds.json"]
-    if name in ("faults", "governed"):
-        return [*words[:3], *["--policy", "backstepping", "--episodes", "1", "--out", "runs/quick.json"]]
     if name == "dataset":
         return [*words, "--episodes", "1"]
     if name == "video":

@@ -21,6 +21,7 @@ from baselines import make_policy
 from baselines.export.c_header import c_header
 from baselines.export.parts import exported
 
+pytestmark = pytest.mark.slow  # a program is compiled, and an agent runs an episode
 PACKAGE = Path(__file__).parents[1] / "examples" / "ros2" / "auv_gym_controller"
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
 STEPS, PREVIEW, PERIOD = 150, 40, 0.1

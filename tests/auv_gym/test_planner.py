@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow_except
 from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
@@ -122,7 +123,7 @@ def test_cross_flow_that_vanishes_leaves_the_plan(name):
     np.testing.assert_allclose(crossed / size, plain / size, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("name", slow_except(PATHS.keys() - {"lawnmower", "random_smooth"}, PATHS))
 @COMPILED
 def test_sideslip_solves_its_differential_equation(name, vehicle):
     """From the planner's initial value, which after the run-in is that of a start at t = -30 s."""

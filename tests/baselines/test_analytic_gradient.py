@@ -301,6 +301,7 @@ def test_training_improves(trained):
     assert np.mean(count_failures[-10:]) < np.mean(count_failures[:10])
 
 
+@pytest.mark.slow
 def test_best_agent_is_returned(trained):
     run, agent = trained
     best = max(row["score"] for row in rows(run) if "score" in row)

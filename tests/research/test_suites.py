@@ -195,6 +195,7 @@ def test_recorded_rows_belong_to_an_agents_weights(small, tmp_path, monkeypatch)
     assert "have changed" in recorded.load_recorded(suite, tmp_path).refused["mine"]
 
 
+@pytest.mark.slow
 def test_a_slow_policy_is_compared_on_its_first_episodes(small, tmp_path):
     suite = suites.load_suite("small", small)
     first = [Cell(cell.scenario, cell.episodes[:2]) for cell in suite.cells]
