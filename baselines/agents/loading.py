@@ -83,7 +83,7 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     sys.modules[module.__name__] = module  # dataclasses look up their module here
     try:
         # Not imported: the bytecode that an import keeps is stale if the file changes within a second.
-        exec(compile(source, file, "exec"), vars(module))
+        exec(compile(source, file, "exec", dont_inherit=True), vars(module))
     except (Exception, SystemExit) as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     make = getattr(module, factory, None)

@@ -51,6 +51,22 @@ def test_documented_module(example, tmp_path):
     assert rows[1]["steady_rmse_m"]["mean"] < 0.5
 
 
+def test_a_file_runs_as_if_imported(tmp_path, monkeypatch):
+    """Annotations are types, not texts; the module is found by dataclasses; and nothing is written beside it."""
+    lines = ("import dataclasses", "from pathlib import Path", "@dataclasses.dataclass", "class Still:")
+    lines += (
+        "    limit: float = 2.0",
+        "    def predict(self, observation, *_):",
+        "        return Path(__file__).name, None",
+    )
+    (tmp_path / "mine.py").write_text("\n".join(lines))
+    monkeypatch.chdir(tmp_path)
+    policy = make_policy("mine.py:Still")
+    assert type(policy).__annotations__ == {"limit": float}
+    assert policy.predict(None) == ("mine.py", None)
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.py"]
+
+
 def test_factory_takes_options(example):
     assert make_policy("my_controller.py:Controller", ahead=7.0).ahead == 7.0
 
