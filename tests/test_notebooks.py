@@ -29,7 +29,7 @@ def test_notebook_runs(notebook, tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "error", "script.py"],
         cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "Agg", "PATH": path, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=180,

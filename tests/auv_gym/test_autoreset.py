@@ -10,6 +10,7 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as wrappers
+from marks import slow_except
 
 from auv_gym.scenarios.names import STEPS
 from auv_gym.scenarios.presets import PRESETS
@@ -142,7 +143,7 @@ def test_an_id_of_a_preset_makes_vector_environments():
         assert env.spec.max_episode_steps == 600
 
 
-@pytest.mark.parametrize("backend", ["numpy", pytest.param("torch", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("backend", slow_except(["numpy"], ["numpy", "torch"]))
 def test_max_episode_steps_truncates_vector_environments(backend):
     env = gym.make_vec(f"{TASKS[0]}-slow-calm-v0", 2, "vector_entry_point", max_episode_steps=3, backend=backend)
     env.reset(seed=0)

@@ -37,7 +37,7 @@ from baselines.training.validation import VALIDATION_PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]
-TOLD = Inputs((3,), hull=True)
+WITH_MODEL = Inputs((3,), hull=True)
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
@@ -82,7 +82,7 @@ def native(request, monkeypatch):
 
 @pytest.mark.usefixtures("native")
 @pytest.mark.parametrize(
-    ("expert", "memory", "inputs"), [*CASES, pytest.param("backstepping", False, TOLD, marks=pytest.mark.slow)]
+    ("expert", "memory", "inputs"), [*CASES, pytest.param("backstepping", False, WITH_MODEL, marks=pytest.mark.slow)]
 )
 def test_gradient_equals_that_of_torch(expert, memory, inputs):
     n = len(inputs.features)

@@ -17,6 +17,7 @@ from baselines.policy import Batched, Privileged, Remembering
 
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
 WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
+GUARDED = [*PLAIN, *WRAPPED, "helm:guard=nmpc-adverse"]
 BAD = (math.nan, math.inf, -math.inf, 1e30, -1e30)
 NOT_POSITIVE = (0.0, -1.0)  # invalid for limits and control period
 LAST = slice(15, 17)  # the last action among the terms
@@ -139,10 +140,7 @@ def test_memory_and_actions_stay_finite_after_one_distant_position(name, value):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-# lqi solves a Riccati equation for each observation.
-@pytest.mark.parametrize(
-    "name", slow_except({*PLAIN, *WRAPPED} - {"lqi"}, [*PLAIN, *WRAPPED, "helm:guard=nmpc-adverse"])
-)
+@pytest.mark.parametrize("name", slow_except({*GUARDED} - {"lqi"}, GUARDED))  # lqi solves many Riccati equations
 def test_commands_are_finite_for_every_observation_of_the_space(name):
     """For random, extreme, tiny and zero entries, of which four of five observations are repeated."""
     policy, rng, n = make_policy(name), np.random.default_rng(0), 32

@@ -91,10 +91,7 @@ PROCESSES = 5  # the first, its two workers, and two that clean up behind it
 
 @needs_proc
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("program", "end"),
-    [*ENDS, ("train.py", signal.SIGTERM), ("train.py", signal.SIGKILL)],
-)
+@pytest.mark.parametrize(("program", "end"), [*ENDS, ("train.py", signal.SIGTERM), ("train.py", signal.SIGKILL)])
 def test_no_process_is_left_behind(program, end, tmp_path):
     """Two worker processes at work; a terminal sends its signal to all of them, others go to the first alone."""
     SMALL.save(tmp_path / "small.toml")

@@ -158,6 +158,7 @@ def test_fingerprint_of_the_simulator_covers_equations_without_docstrings(tmp_pa
     copy = tmp_path / "auv_gym"
     shutil.copytree(ROOT / "auv_gym", copy, ignore=shutil.ignore_patterns("__pycache__"))
     now = fingerprints.simulator_fingerprint()
+    assert simulator_of(tmp_path) == now
     for file in copy.rglob("*.py"):
         text = file.read_text().replace("auv_gym.physics.dynamics", "auv_gym.physics.motion")
         text = text.replace('"""', '"""Another word. ', 1)
@@ -178,6 +179,7 @@ def test_fingerprint_of_the_simulator_covers_equations_without_docstrings(tmp_pa
         (copy / name).write_text(f"{source}static int another;\n")
         assert simulator_of(tmp_path) != now
         (copy / name).write_text(source)
+    assert simulator_of(tmp_path) == now
 
 
 @pytest.mark.parametrize("name", ["metrics", "rollout"])

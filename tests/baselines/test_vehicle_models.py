@@ -28,7 +28,7 @@ from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 
-TOLD = Inputs((3, 20), fine=True, filters=True, hull=True)
+WITH_MODEL = Inputs((3, 20), fine=True, filters=True, hull=True)
 OTHER = Vehicle(215.0, 400.0, 80.0, 12.0, 60.0, 30.0, 20.0, 300.0, 90.0, 150.0, 200.0, -40.0, 50.0)
 
 
@@ -125,11 +125,15 @@ def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
     """Expert, filters and features of a loop with several vehicles are those of policies made for each."""
     known = [PAPER_VEHICLE, OTHER]
     expert = Backstepping()
-    loop = ClosedLoop(law_of(expert)[0], TOLD, informed=expert)
+    loop = ClosedLoop(law_of(expert)[0], WITH_MODEL, informed=expert)
     rows = np.array([v.coefficients for v in known]).T
     env = UnderactuatedAUVTrackVectorEnv(2, [replace(PRESETS["cruise-storm"], vehicle=v, substeps=3) for v in known])
     observation, _ = env.reset(seed=0)
-    rng, sums, alone = np.random.default_rng(0), np.zeros((TOLD.memory, 2)), [np.zeros((TOLD.memory, 1))] * 2
+    rng, sums, alone = (
+        np.random.default_rng(0),
+        np.zeros((WITH_MODEL.memory, 2)),
+        [np.zeros((WITH_MODEL.memory, 1))] * 2,
+    )
     for _ in range(60):
         ahead, last = rng.normal(size=(4, 2)), rng.uniform(-1, 1, (2, 2))
         base = loop.expert(observation.T, ARRAYS, rows)
@@ -137,7 +141,7 @@ def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
         for i, vehicle in enumerate(known):
             action, _ = Backstepping(vehicle=vehicle).predict(observation[i])
             np.testing.assert_allclose([base[0][i], base[1][i]], action, rtol=1e-6, atol=1e-7)
-            one = ClosedLoop(law_of(expert)[0], TOLD)
+            one = ClosedLoop(law_of(expert)[0], WITH_MODEL)
             column = observation[i, :, None], ahead[:, i : i + 1], np.array(base)[:, i : i + 1], last[:, i : i + 1]
             own, alone[i] = one.features(*column, alone[i], ARRAYS, vehicle.coefficients)
             mine = [float(np.broadcast_to(row, 1)[0]) for row in own]
