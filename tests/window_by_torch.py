@@ -53,9 +53,9 @@ class Setting:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
         scenarios = [PRESETS[name] for name in names]
-        variants = variants_of(scenarios, 1.0, _SEED) if inputs.hull else ()
+        variants = variants_of(scenarios, 1.0, _SEED) if inputs.nominal_vehicle else ()
         self.vehicles = TrainingVehicles(scenarios, _SEED, steps, inputs.preview, variants)
-        informed = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
+        informed = self.expert if inputs.nominal_vehicle and isinstance(self.expert, Backstepping) else None
         self.loop = ClosedLoop(law, inputs, self.vehicles.parts, informed)
         self.net = net
         kernels, objective = LoopKernels(self.loop, self.exact, precision), Objective(LOSS, **options)

@@ -97,7 +97,8 @@ class Agent:
         Args:
             fade: reduce the correction if an error leaves the region of the training. The correction is zero if an
                 error is twice as large as the region or larger.
-            vehicle: nominal model of the expert, and an input of a network with `Inputs.hull`. None: the paper's.
+            vehicle: nominal model of the expert, and an input of a network with `Inputs.nominal_vehicle`. None: the
+                paper's.
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:

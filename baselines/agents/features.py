@@ -94,11 +94,11 @@ class Inputs:
     integrals: bool = True  # include the integrals of the position error
     fine: bool = False  # include the errors on finer scales
     filters: bool = False  # include the estimates of `filters.filter_step`
-    hull: bool = False  # include the nominal vehicle, and use it as model of the filters
+    nominal_vehicle: bool = False  # include the nominal vehicle, and use it as model of the filters
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preview", checked_preview(self.preview))
-        for name in ("integrals", "fine", "filters", "hull"):
+        for name in ("integrals", "fine", "filters", "nominal_vehicle"):
             if not isinstance(value := getattr(self, name), bool):
                 raise ValueError(f"{name} is {value!r}; it must be true or false")
 
@@ -109,7 +109,7 @@ class Inputs:
         features += tuple(feature for periods in self.preview for feature in _preview_features(periods))
         features += FINE_FEATURES if self.fine else ()
         features += FILTER_FEATURES if self.filters else ()
-        return features + (VEHICLE_FEATURES if self.hull else ())
+        return features + (VEHICLE_FEATURES if self.nominal_vehicle else ())
 
     @property
     def memory(self) -> int:
@@ -136,7 +136,7 @@ class Inputs:
             memory: `Inputs.memory` rows from the previous call; zero at the start of an episode.
             ns: the namespace of the numbers.
             coefficients: `Vehicle.all_coefficients` of the nominal vehicle in the paper's units
-                (`auv_gym.physics.units`); not used without `Inputs.hull`.
+                (`auv_gym.physics.units`); not used without `Inputs.nominal_vehicle`.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
         (x1, y1, x2, y2), rest = (before := tuple(memory))[:INTEGRALS], before[INTEGRALS:]
@@ -159,10 +159,10 @@ class Inputs:
         if self.fine:
             rows += _fine(o[:ERROR_FEATURES], per_U, ns)
         if self.filters:
-            model = coefficients if self.hull else _PAPER
+            model = coefficients if self.nominal_vehicle else _PAPER
             output, rest = filters.filter_step(Observation._make(o), 1 / per_U, rest, ns, model)
             rows += _filter_rows(output, Observation._make(o), per_U, ns)
-        if self.hull:
+        if self.nominal_vehicle:
             rows += _vehicle_rows(coefficients)
         return tuple(ns.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE) for row in rows), (x1, y1, x2, y2, *rest)
 
@@ -283,4 +283,5 @@ VEHICLE_FEATURES = (
     Feature("Y_ur", "1", "1", "Y_ur / m22 of the known vehicle"),
     Feature("N_uv", "1/m^2", "1 / m^2", "N_uv / m33 of the known vehicle in the paper's units"),
 )  # fmt: skip
-"""Additional features with `Inputs.hull`: ratios; x / (x + half) compresses the range of those of drag and lift."""
+"""Additional features with `Inputs.nominal_vehicle`: ratios; x / (x + half) compresses the range of those of drag and
+lift."""

@@ -46,7 +46,7 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
     training, (surge, yaw) = record["training"], record["authority"]
     own = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
     lines = [_TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
-    if record["inputs"].get("hull"):
+    if record["inputs"].get("nominal_vehicle"):
         lines += [_KNOWN_VEHICLE]
     if scores := training.get("scores"):
         lines += ["## Scores", "", "0 is the score of the expert `backstepping`, 1 that of `oracle`.", ""]

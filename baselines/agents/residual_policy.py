@@ -130,7 +130,7 @@ class ResidualPolicy(Batched):
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
-        self._vehicle = vehicle if inputs.hull else PAPER_VEHICLE  # else all vehicles share one kernel
+        self._vehicle = vehicle if inputs.nominal_vehicle else PAPER_VEHICLE  # else all vehicles share one kernel
         self._buffers: tuple[int, _Buffers] | None = None
         self._buffers_for(1)  # compiles the kernels before the first action
 

@@ -179,7 +179,7 @@ def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Arra
     return {
         "score": _ends(seeds_score(zero, each, one)),
         "above": _ends(above(each)),
-        "hulls": [round(above([rows[[k]] for rows in each]).mean, 5) for k in range(len(each[0]))],
+        "vehicles": [round(above([rows[[k]] for rows in each]).mean, 5) for k in range(len(each[0]))],
         "error_m": [round(float(rows.mean()), 6) for rows in each],
         "first_m": [np.round(rows[0, :KEPT_EPISODES], 6).tolist() for rows in each],
     }
@@ -295,7 +295,7 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
             f"{right['score'][0]:.3f}",
             wrong.label,
             *above,
-            f"{min(last['hulls']):+.3f}",
+            f"{min(last['vehicles']):+.3f}",
             growth,
             failed,
         ]

@@ -83,9 +83,15 @@ PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise"
 """Authority of PPO, with or without memory: a larger one makes fast vehicles with slow actuators spin."""
 WIDE: Mapping[str, Any] = {"n_envs": 512, "n_steps": 64, "batch_size": 4096, "n_epochs": 4}
 """Changes for PPO that is trained until its score stops rising: larger batches, so less noise in each update."""
-EVEN: Mapping[str, Any] = {"n_envs": 96, "n_steps": 100, "cut": 3, "final_share": 0.01, "evenness": 0.75}
-"""Changes for the analytic gradient if the episodes differ much in difficulty: long windows; gradients that are cut
-early, because long ones are chaotic in some episodes; errors weighted mostly by their ratios, so that the largest do
+RELATIVE_ERRORS: Mapping[str, Any] = {
+    "n_envs": 96,
+    "n_steps": 100,
+    "derivative_bound": 3,
+    "final_share": 0.01,
+    "error_exponent": 0.75,
+}
+"""Changes for the analytic gradient if the episodes differ much in difficulty: long windows; a low bound of
+derivatives, because they are chaotic in some episodes; errors weighted mostly by their ratios, so that the largest do
 not dominate."""
 BOTH: Mapping[str, Any] = {
     "preview": ERROR_ONLY["preview"],
@@ -101,20 +107,25 @@ BOTH: Mapping[str, Any] = {
 }
 """Changes for agents for both speed ranges: finer inputs for small errors, filters, and commands as smooth as those of
 `nmpc`."""
-HELM: Mapping[str, Any] = {**BOTH, **EVEN, "groups": 2, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
+HELM: Mapping[str, Any] = {
+    **BOTH,
+    **RELATIVE_ERRORS,
+    "groups": 2,
+    "learning_rate": 0.002,
+    "matrix_learning_rate": 0.013,
+}
 """Changes for `helm`."""
-_MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
+_MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "derivative_bound": 12}
 """Changes for the variants of `helm`: shorter windows, and errors without weighting."""
 _SMALL: Mapping[str, Any] = {**_MEAN, "hidden_size": 11}
 """Changes for `helm-small`, for a microcontroller: about 2,000 weights."""
 BLIND: Mapping[str, Any] = {**_MEAN, "preview": []}
 """Changes for `helm-blind`, without a preview of the reference."""
 ANY_VEHICLE: Mapping[str, Any] = {
-    **EVEN,
+    **RELATIVE_ERRORS,
     "groups": 2,
-    "hull": True,
-    "hulls": 0.67,
-    "hull_weight": 1.0,
+    "nominal_vehicle": True,
+    "drawn_share": 0.67,
     "learning_rate": 0.001,
     "matrix_learning_rate": 0.006,
     "warm_up": 0.1,

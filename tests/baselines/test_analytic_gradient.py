@@ -30,14 +30,14 @@ from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.trainer import ApgTrainer, train
 from baselines.training.apg.vehicles import TrainingVehicles
-from baselines.training.apg.window import SMALLEST, evened
+from baselines.training.apg.window import SMALLEST, divided_by_error
 from baselines.training.config import Config
 from baselines.training.run_folder import RunFolder
 from baselines.training.validation import VALIDATION_PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]
-WITH_MODEL = Inputs((3,), hull=True)
+WITH_MODEL = Inputs((3,), nominal_vehicle=True)
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
@@ -149,7 +149,7 @@ def test_gradient_equals_finite_differences():
         assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
 
 
-def test_gradient_with_evenness():
+def test_gradient_with_an_error_exponent():
     """The gradient is that of the mean loss with other shares, which by ratios are one over the errors."""
     names, net = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1)
 
@@ -158,7 +158,7 @@ def test_gradient_with_evenness():
         setting.run()
         return gradient_of(net), setting.window._errors()
 
-    even, errors = found(evenness=0.5)
+    even, errors = found(error_exponent=0.5)
     assert errors.max() > 1.5 * errors.min() > 0
     shares = 1 / np.sqrt(errors + SMALLEST)
     expected, _ = found(shares=shares / shares.sum())
@@ -167,9 +167,9 @@ def test_gradient_with_evenness():
 
 
 @given(st.lists(st.floats(0, 1e30) | st.just(math.nan) | st.just(math.inf), min_size=1, max_size=6), st.floats(0, 1))
-def test_even_shares_keep_their_sum_and_decrease_with_the_error(errors, evenness):
+def test_even_shares_keep_their_sum_and_decrease_with_the_error(errors, error_exponent):
     errors = np.array(errors)
-    shares = evened(np.full(len(errors), 1 / len(errors)), errors, evenness)
+    shares = divided_by_error(np.full(len(errors), 1 / len(errors)), errors, error_exponent)
     assert shares.sum() == pytest.approx(1)
     order = np.argsort(errors)  # what is no number comes last
     assert (np.diff(shares[order]) <= 1e-12).all()
@@ -190,13 +190,13 @@ def test_loss_has_a_continuous_positive_slope():
 
 
 def test_derivatives_of_diverging_vehicles_are_bounded():
-    """A cut that nothing reaches changes nothing; a low one shortens the gradient; what is no number counts nothing."""
+    """A high bound changes nothing; a low one shortens the gradient; a derivative that is no number counts nothing."""
     names, found = ["cruise-storm", "cruise-actuator", "cruise-noise"], {}
-    for cut in (0.0, 1e9, 0.01):
+    for bound in (0.0, 1e9, 0.01):
         torch.manual_seed(0)
-        setting = Setting(names, network(), "backstepping", steps=12, cut=cut)
+        setting = Setting(names, network(), "backstepping", steps=12, derivative_bound=bound)
         setting.run()
-        found[cut] = gradient_of(setting.net).clone()
+        found[bound] = gradient_of(setting.net).clone()
     assert torch.equal(found[0.0], found[1e9])
     assert float(found[0.01].norm()) < 0.9 * float(found[0.0].norm())
     setting.window._d["d_state"][:, 1] = np.nan
@@ -211,8 +211,6 @@ def test_each_speed_range_has_its_weights():
     assert np.array(objective.loss.rate).tolist() == [0.3, 0.3, 0.3]
     assert objective.shares.tolist() == [0.375, 0.375, 0.25]
     assert settings.objective(["cruise-calm"] * 4).shares.tolist() == [0.25] * 4
-    heavy = replace(settings, hull_weight=3.0).objective(["cruise-calm"] * 4, [True, False, False, False])
-    assert heavy.shares.tolist() == [0.5, *[1 / 6] * 3]
 
 
 def test_a_batch_begins_episodes_between_windows():

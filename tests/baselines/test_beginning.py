@@ -224,7 +224,7 @@ def test_rates_rise_and_fall():
 def test_fine_tuning_keeps_agent_and_objective():
     """Of the residual environment's table, only rates, length, windows and number of vehicles are other."""
     values = load_hyperparameters(shipped("apg"), FINE_TUNING_FILE_NAME)
-    assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
+    assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "derivative_bound"}
     assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
     json.dumps(dict(values.values))
 

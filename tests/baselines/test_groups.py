@@ -15,10 +15,10 @@ from baselines.training import vehicle_models
 from baselines.training.apg.groups import Groups, VehicleGroup, divided
 from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import torch_network, weights_of
-from baselines.training.apg.window import evened
+from baselines.training.apg.window import divided_by_error
 from baselines.training.config import Config
 
-GROUPED = {"n_envs": 20, "n_steps": 10, "hidden_size": 16, "groups": 3, "cut": 3, "evenness": 0.75}
+GROUPED = {"n_envs": 20, "n_steps": 10, "hidden_size": 16, "groups": 3, "derivative_bound": 3, "error_exponent": 0.75}
 
 
 @pytest.fixture(autouse=True)
@@ -56,13 +56,13 @@ def test_groups_have_all_vehicles_and_their_shares():
     for group in groups:
         of = settings.objective([scenario.name for scenario in group.scenarios])
         np.testing.assert_array_equal(group.objective.loss.rate, of.loss.rate)
-        even = evened(group.objective.shares, np.geomspace(0.01, 1, len(group.scenarios)), 0.75)
+        even = divided_by_error(group.objective.shares, np.geomspace(0.01, 1, len(group.scenarios)), 0.75)
         assert even.sum() == pytest.approx(group.objective.shares.sum())
 
 
 def test_half_of_each_group_has_drawn_models(monkeypatch):
     monkeypatch.setattr(vehicle_models, "SEVERAL", 2)
-    for group in divided(*grouped(n_envs=8, groups=2, hull=True, hulls=0.5)):
+    for group in divided(*grouped(n_envs=8, groups=2, nominal_vehicle=True, drawn_share=0.5)):
         assert sorted(len(own) for own in group.variants) == [1, 1, 2, 2]
 
 

@@ -377,18 +377,18 @@ def test_agent_records_its_training(call):
     assert agent.training["validation"]["score"] == max(scores)
 
 
-@pytest.mark.parametrize("drawn_hulls", slow_except([0.5], [0.0, 0.5]))
-def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_hulls):
-    """The best one; where hulls are drawn, which are not validated, the last one."""
+@pytest.mark.parametrize("drawn_share", slow_except([0.5], [0.0, 0.5]))
+def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_share):
+    """The best one; where vehicles are drawn, which are not validated, the last one."""
     monkeypatch.setattr("baselines.training.vehicle_models.SEVERAL", 1)
     measured, scores = Validation.run, iter(np.linspace(0.9, 0.1, 17))
     monkeypatch.setattr(Validation, "run", lambda *given: replace(measured(*given), score=float(next(scores))))
-    assert call(*tiny("apg"), "--set", "hull=true", f"hulls={drawn_hulls}", "validations=2") == 0
+    assert call(*tiny("apg"), "--set", "nominal_vehicle=true", f"drawn_share={drawn_share}", "validations=2") == 0
     first, *_, last = (row for row in read_progress(Path("out")) if "score" in row)
     kept = Agent.load("out/agent").training
-    assert kept["validation"] == {name: (last if drawn_hulls else first)[name] for name in kept["validation"]}
+    assert kept["validation"] == {name: (last if drawn_share else first)[name] for name in kept["validation"]}
     assert kept["scores"] == {"validation episodes": round(kept["validation"]["score"], 3)}
-    assert bool(weights("out/agent")["head.weight"].any()) == bool(drawn_hulls)  # the first network corrects nothing
+    assert bool(weights("out/agent")["head.weight"].any()) == bool(drawn_share)  # the first network corrects nothing
 
 
 @pytest.mark.parametrize(("keeps_last", "expected"), [(False, [1, 0, 1, 0, 0, 1]), (True, [1] * 6)])

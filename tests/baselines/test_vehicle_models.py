@@ -28,7 +28,7 @@ from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 
-WITH_MODEL = Inputs((3, 20), fine=True, filters=True, hull=True)
+WITH_MODEL = Inputs((3, 20), fine=True, filters=True, nominal_vehicle=True)
 OTHER = Vehicle(215.0, 400.0, 80.0, 12.0, 60.0, 30.0, 20.0, 300.0, 90.0, 150.0, 200.0, -40.0, 50.0)
 
 
@@ -50,7 +50,7 @@ def test_the_ranges_hold_every_published_vehicle(name):
 
 @pytest.fixture(scope="module")
 def turned():
-    """Four vehicles, every other one with drawn hulls."""
+    """Four vehicles, every other one with a drawn model."""
     scenarios = [PRESETS[name] for name in ("slow-storm", "slow-storm", "cruise-noise", "cruise-storm")]
     return scenarios, vehicle_models.variants_of(scenarios, 0.5, 3)
 
@@ -169,7 +169,7 @@ def test_filters_of_an_agent_use_the_whole_model(name):
 
 def test_vehicle_features_are_bounded_and_equal_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
-    rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
+    rows, _ = Inputs(nominal_vehicle=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
     got = dict(
         zip(
             [f.name for f in VEHICLE_FEATURES],
@@ -182,15 +182,15 @@ def test_vehicle_features_are_bounded_and_equal_the_table():
     assert got["N_uv"] == pytest.approx(-0.5)
     assert (got["Y_ur"], got["N_ur"]) == pytest.approx((0.5, 2 * 0.625 / 1.125))
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
-    rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
+    rows, _ = Inputs(nominal_vehicle=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= LARGEST_FEATURE
-    assert Inputs().features == Inputs(hull=True).features[: -len(VEHICLE_FEATURES)]
+    assert Inputs().features == Inputs(nominal_vehicle=True).features[: -len(VEHICLE_FEATURES)]
 
 
 def test_the_action_depends_on_the_nominal_vehicle():
     """Without an expert, which would be told as well."""
     torch.manual_seed(0)
-    observation, inputs = np.zeros(18), Inputs(hull=True)
+    observation, inputs = np.zeros(18), Inputs(nominal_vehicle=True)
     observation[[0, 6, 11, 13, 14, 17]] = 0.1, 0.5, 1.0, 0.78125, 0.78125, 0.8
     net = torch_network(Gru(len(inputs.features), 8, 8, 8))
     torch.nn.init.normal_(net.head.weight)
@@ -205,7 +205,7 @@ def test_additional_inputs_do_not_change_the_initial_action():
     observation = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 18))
     observation[:, [13, 14, 17]] = 0.78125, 0.78125, 0.8
     actions, weights = [], None
-    for inputs in (Inputs(), Inputs(hull=True)):
+    for inputs in (Inputs(), Inputs(nominal_vehicle=True)):
         net = torch_network(Gru(len(inputs.features), 8, 8, 8))
         if weights is None:
             torch.nn.init.normal_(net.head.weight)
@@ -219,11 +219,11 @@ def test_additional_inputs_do_not_change_the_initial_action():
 
 def test_other_experts_are_rejected_with_drawn_vehicles():
     scenarios = ((PRESETS["cruise-storm"], 1.0),)
-    settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
+    settings = {"n_envs": 4, "n_steps": 10, "nominal_vehicle": True, "drawn_share": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
     with pytest.raises(ValueError, match="so they must be inputs of the network"):
-        check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
+        check(Config(scenarios=scenarios, hyperparameters=settings | {"nominal_vehicle": False}))
     with pytest.raises(ValueError, match="vehicles are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 

@@ -47,7 +47,7 @@ def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
     for rows in found["wrong"].values():
         mean, low, high = rows[0]["above"]
         assert low <= mean <= high
-        assert mean == pytest.approx(np.mean(rows[0]["hulls"]), abs=1e-4)
+        assert mean == pytest.approx(np.mean(rows[0]["vehicles"]), abs=1e-4)
         assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
         assert rows[0]["error_m"] != found["right"]["error_m"]
     (tmp_path / "backstepping.json").write_text(json.dumps({"cruise": found}))

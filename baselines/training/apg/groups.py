@@ -54,10 +54,8 @@ def divided(config: Config, settings: Settings) -> list[Members]:
     scenarios = config.env_scenarios(settings.n_envs)
     draws = settings.draws_vehicles(config.vehicle)
     seed = config.episode_seed
-    variants = variants_of(scenarios, settings.hulls, seed) if draws else with_fixed_paths(scenarios, seed)
-    objective = settings.objective(
-        [scenario.name for scenario in scenarios], [draws and len(own) > 1 for own in variants]
-    )
+    variants = variants_of(scenarios, settings.drawn_share, seed) if draws else with_fixed_paths(scenarios, seed)
+    objective = settings.objective([scenario.name for scenario in scenarios])
     group, groups = np.arange(len(scenarios)) // PAIR % settings.groups, list[Members]()
     for k in range(settings.groups):
         mine = (group == k).nonzero()[0]

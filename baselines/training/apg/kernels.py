@@ -160,7 +160,7 @@ class LoopKernels:
     def seen(self) -> dict[str, int]:
         """Inputs of the features with their numbers of rows; `known` if the network has the nominal models."""
         inputs = self.loop.inputs
-        known = {"known": known_rows(self.loop.parts)} if inputs.hull else {}
+        known = {"known": known_rows(self.loop.parts)} if inputs.nominal_vehicle else {}
         return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
 
     def _moved(

@@ -25,8 +25,8 @@ from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS
 
 PAIR = 2  # consecutive vehicles of the same group, so that groups have equal shares of drawn models
-_SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls", "evenness")  # settings in [0, 1]
-_WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
+_SHARES = ("final_share", "warm_up", "average", "cruise_share", "drawn_share", "error_exponent")  # settings in [0, 1]
+_WEIGHTS = ("derivative_bound", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 """Settings of 0 or more; those of cruise may be None."""
 
 
@@ -50,16 +50,15 @@ class Settings:
     cruise_effort_weight: float | None = None  # `effort_weight` in cruise scenarios; None: the same
     cruise_rate_weight: float | None = None  # `rate_weight` in cruise scenarios; None: the same
     cruise_share: float = 0.5  # weight of the cruise scenarios in the loss, if there are both speed ranges
-    cut: float = 0.0  # bound of a vehicle's derivatives, in medians over vehicles; 0: no bound
-    evenness: float = 0.0  # 0: mean of errors, 1: mean of their logarithms, see `window.evened`
+    derivative_bound: float = 0.0  # bound of a vehicle's derivatives, in medians over vehicles; 0: no bound
+    error_exponent: float = 0.0  # 0: mean of errors, 1: mean of their logarithms, see `window.divided_by_error`
     memory: bool = True  # whether the network has recurrent units; otherwise it has two tanh layers
     integrals: bool = True  # include the integrals of the position error in the inputs of the network
     fine: bool = False  # include the errors on finer scales
     filters: bool = False  # include the estimates of Kalman filters
     preview: tuple[int, ...] = ()  # include the reference this many control periods ahead
-    hull: bool = False  # include the nominal vehicle
-    hulls: float = 0.0  # share of the sub-environments with drawn vehicle models, see `vehicle_models`
-    hull_weight: float = 1.0  # relative weight of the loss of these
+    nominal_vehicle: bool = False  # include the nominal vehicle
+    drawn_share: float = 0.0  # share of the sub-environments with drawn vehicle models, see `vehicle_models`
     validations: int = VALIDATIONS  # number of validations of a run, each with a checkpoint
 
     def __post_init__(self) -> None:
@@ -81,7 +80,7 @@ class Settings:
     @property
     def inputs(self) -> Inputs:
         """The inputs of the network."""
-        return Inputs(self.preview, self.integrals, self.fine, self.filters, self.hull)
+        return Inputs(self.preview, self.integrals, self.fine, self.filters, self.nominal_vehicle)
 
     @property
     def network(self) -> Gru | Mlp:
@@ -91,18 +90,18 @@ class Settings:
 
     def draws_vehicles(self, vehicle: Vehicle | None) -> bool:
         """Return whether vehicle models are drawn; they are drawn only in a training for the paper's vehicle."""
-        return self.hulls > 0 and vehicle == PAPER_VEHICLE
+        return self.drawn_share > 0 and vehicle == PAPER_VEHICLE
 
-    def objective(self, names: Sequence[str], drawn: Sequence[bool] = ()) -> Objective:
-        """Return the objective for scenarios of these names; `drawn` says which have drawn models, () for none."""
+    def objective(self, names: Sequence[str]) -> Objective:
+        """Return the objective for scenarios of these names."""
         fast = np.array([speed_range_of(name) == "cruise" for name in names])
         cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
         pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
         loss = Loss(*(np.where(fast, slow if own is None else own, slow) for slow, own in pairs))
         both = fast.any() and not fast.all()
         share = np.where(fast, self.cruise_share / max(1, fast.sum()), (1 - self.cruise_share) / max(1, (~fast).sum()))
-        shares = np.where(drawn or False, self.hull_weight, 1.0) * (share if both else np.ones(len(fast)))
-        return Objective(loss, shares / shares.sum(), self.cut, self.evenness)
+        shares = share if both else np.ones(len(fast))
+        return Objective(loss, shares / shares.sum(), self.derivative_bound, self.error_exponent)
 
     def windows(self, timesteps: int) -> int:
         """Return the number of windows in `timesteps` control steps, summed over vehicles."""
@@ -137,16 +136,20 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.env_scenarios(settings.n_envs)
-    if settings.hulls and not settings.hull:
-        raise ValueError("vehicles are drawn, so they must be inputs of the network: set hull=true, or hulls=0")
-    if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
+    if settings.drawn_share and not settings.nominal_vehicle:
+        raise ValueError(
+            "vehicles are drawn, so they must be inputs of the network: set nominal_vehicle=true, or drawn_share=0"
+        )
+    if settings.drawn_share and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
         raise ValueError(f"vehicles are drawn, so the expert must be {NO_EXPERT} or a form of {EXPERT}")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
     if config.origin:
         agent = loaded(config.origin)
-        inputs = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # vehicle inputs can be added
+        inputs = replace(
+            settings.inputs, nominal_vehicle=settings.nominal_vehicle and agent.inputs.nominal_vehicle
+        )  # vehicle inputs can be added
         sizes = replace(settings.network, inputs=agent.network.inputs)
         if inputs != agent.inputs or sizes != agent.network:
             raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than the settings")

@@ -24,7 +24,7 @@ Act = Callable[[int, AnyArray], AnyArray]
 
 
 SMALLEST = 0.002
-"""Added to mean errors, in units of their scale, in the weights of `evened`; it bounds the weights of small errors."""
+"""Added to mean errors, in units of their scale, in `divided_by_error`; it bounds the weights of small errors."""
 _LARGEST = 1000.0  # upper bound of mean errors in these weights
 _SHARE = RunConstants._fields.index("share")
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
@@ -47,8 +47,10 @@ class Objective:
 
     loss: Loss  # of a control step; its weights may have shape (N,)
     shares: AnyArray | None = None  # weight of each vehicle in the mean loss, shape (N,); None: equal
-    cut: float = 0.0  # bound of a vehicle's derivatives in the backward pass, in medians over vehicles; 0: no bound
-    evenness: float = 0.0  # see `evened`
+    derivative_bound: float = (
+        0.0  # bound of a vehicle's derivatives in the backward pass, in medians over vehicles; 0: no bound
+    )
+    error_exponent: float = 0.0  # see `divided_by_error`
 
     def of(self, vehicles: NDArray[np.int64]) -> Objective:
         """Return the objective of some of the vehicles, with the same shares."""
@@ -161,8 +163,8 @@ class Window:
             known: the nominal models of the vehicles, shape (`known_rows`, N), if they are inputs of the network.
 
         Returns:
-            The mean loss, without `evenness`, the mean position error [m], the state at the end of the window, which
-            the next run overwrites, and the squared position error [m^2] there, shape (N,).
+            The mean loss, without `error_exponent`, the mean position error [m], the state at the end of the window,
+            which the next run overwrites, and the squared position error [m^2] there, shape (N,).
         """
         for mine, given in zip(self._carried, carried, strict=True):
             mine[0] = given
@@ -171,8 +173,8 @@ class Window:
             mine[:] = known
         with torch.no_grad():
             self._forward(act)
-            if evenness := self.objective.evenness:
-                self._chosen[_SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
+            if error_exponent := self.objective.error_exponent:
+                self._chosen[_SHARE] = divided_by_error(self._shares, self._errors(), error_exponent) / self.steps
             self._backward()
         with np.errstate(all="ignore"):  # errors of diverged vehicles may overflow
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
@@ -194,16 +196,16 @@ class Window:
             self._move_adjoint(k, 1)
             self._pass.backward(k)
             self._observe_adjoint(k, 1)
-            if cut := self.objective.cut:
-                self._bound(cut)
+            if bound := self.objective.derivative_bound:
+                self._bound(bound)
         self._pass.finish()
 
-    def _bound(self, cut: float) -> None:
-        """Scale the derivatives of each vehicle down to `cut` medians over vehicles; set non-finite ones to zero."""
+    def _bound(self, bound: float) -> None:
+        """Scale the derivatives of each vehicle down to `bound` medians over vehicles; set non-finite ones to zero."""
         carried = (*(self._d[name] for name in CARRIED), self._pass.d_hidden.numpy())
         with np.errstate(all="ignore"):
             size = np.sqrt(sum(np.einsum("ij,ij->j", d, d) for d in carried))
-            share = np.where(np.isfinite(size), np.minimum(1.0, cut * np.median(size) / (size + 1e-30)), 0.0)
+            share = np.where(np.isfinite(size), np.minimum(1.0, bound * np.median(size) / (size + 1e-30)), 0.0)
             for d in carried if (share < 1).any() else ():
                 np.multiply(d, share, out=d)
             for d in carried if not share.all() else ():
@@ -222,18 +224,18 @@ class Window:
         return float(np.mean(of @ self._shares.astype(of.dtype), dtype=np.float64))
 
 
-def evened(shares: AnyArray, errors: AnyArray, evenness: float) -> AnyArray:
-    """Return shares with the same sum, divided by errors_i^evenness; a vehicle with a non-finite error has share 0.
+def divided_by_error(shares: AnyArray, errors: AnyArray, error_exponent: float) -> AnyArray:
+    """Return shares with the same sum, divided by the errors to a power; a vehicle with a non-finite error has share 0.
 
-    With evenness 0 the shares do not change, and the objective is a mean of errors. With evenness 1 its gradient is
+    With exponent 0 the shares do not change, and the objective is a mean of errors. With exponent 1 its gradient is
     that of a mean of logarithms: halving an error of a millimetre counts as much as halving an error of a metre.
 
     Args:
         shares: weights of the vehicles, shape (N,).
         errors: of the vehicles, in units of their scales, shape (N,).
-        evenness: 0 ... 1.
+        error_exponent: 0 ... 1.
     """
     bounded = np.minimum(errors, _LARGEST) + SMALLEST
-    even = np.where(np.isfinite(errors), shares * bounded**-evenness, 0.0)
+    even = np.where(np.isfinite(errors), shares * bounded**-error_exponent, 0.0)
     total = even.sum()
     return even * (shares.sum() / total) if total > 0 else shares
