@@ -302,7 +302,7 @@ def folder(tmp_path_factory):
     trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
     for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
-    shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
+    shutil.copytree(ROOT / "docs" / "failing-scenarios", folder / "docs" / "failing-scenarios")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
     for name in ("model.zip", "runs/ppo/model.zip"):

@@ -35,7 +35,7 @@ from research import DATA
 from research.seeds import FAILURE_RATE
 
 PROGRAM = "python -m research failure-rate"
-_FILE = DATA / "certificates.json"  # record of the counts
+_FILE = DATA / "failure_rate.json"  # record of the counts
 _EPISODES = 10_000  # of each name of --scenario
 _BATCH = 250  # episodes of a scenario that are simulated together
 ADVERSE = tuple(f"{speed_range}-adverse" for speed_range in SPEED_RANGES)

@@ -40,8 +40,8 @@ from research.robustness.search_space import KINDS, coordinate_names, scenario_a
 from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
-SCENARIO_FOLDER = DOCS / "seas"  # folder of the scenarios
-_FILE = DATA / "seas.json"  # record of the results
+SCENARIO_FOLDER = DOCS / "failing-scenarios"  # folder of the scenarios
+_FILE = DATA / "falsification.json"  # record of the results
 _POPULATION = 12  # directions of a generation
 _EPISODES = 3  # episodes at a point during the search; the median counts
 _FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
@@ -64,7 +64,7 @@ class Options:
     """Policies by name, folder or file."""
     speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
     """Speed ranges: slow, cruise."""
-    sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = KINDS
+    kind: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = KINDS
     """Ranges that are stretched: storm, those of the presets' storm with slewing actuators; adverse, those of the storm
     of the training, also with sensor and actuator faults."""
     generations: int = 24
@@ -85,7 +85,7 @@ class Search:
     def name(self) -> str:
         """Name of the resulting scenario."""
         plain = "".join(c if c.isalnum() else "-" for c in self.policy)
-        return f"{self.speed_range}-{self.kind}-that-loses-{plain}"
+        return f"{self.speed_range}-{self.kind}-fails-{plain}"
 
     def scenario(self, severity: float, towards: Array) -> Scenario:
         """Return the scenario at a severity in a direction, see `search_space.scenario_at`."""
@@ -220,7 +220,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("speed range", options.speed_range, SPEED_RANGES)
-    check_words("sea", options.sea, KINDS)
+    check_words("kind", options.kind, KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
     policies = checked_policies(options.policy)
@@ -231,7 +231,7 @@ def main(arguments: Sequence[str]) -> int:
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
     searches = [
-        Search(p, speed_range, kind) for kind in options.sea for speed_range in options.speed_range for p in policies
+        Search(p, speed_range, kind) for kind in options.kind for speed_range in options.speed_range for p in policies
     ]
     for search in searches:
         try:
@@ -245,7 +245,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _write(search: Search, found: _Found, folder: Path) -> None:
     """Write the result of a search and its scenario to a folder, and print it."""
-    about = {"policy": search.policy, "speed_range": search.speed_range, "sea": search.kind}
+    about = {"policy": search.policy, "speed_range": search.speed_range, "kind": search.kind}
     file = _record_of(folder)
     write_atomically(file, json_text({**found_points(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):

@@ -52,7 +52,7 @@ def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list
 
 def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, str, float]:
     found = item[1]
-    return found["sea"], found["speed_range"], -(found["severity"] or math.inf)
+    return found["kind"], found["speed_range"], -(found["severity"] or math.inf)
 
 
 def _point(name: str, found: Mapping[str, Any]) -> list[str]:
@@ -61,8 +61,8 @@ def _point(name: str, found: Mapping[str, Any]) -> list[str]:
     severity = found["severity"]
     return [
         f"`{found['policy']}`",
-        f"{found['speed_range']}, {found['sea']}",
-        "none found" if severity is None else f"[{severity:.2f}](seas/{name}.toml)",
+        f"{found['speed_range']}, {found['kind']}",
+        "none found" if severity is None else f"[{severity:.2f}](failing-scenarios/{name}.toml)",
         f"{found['failed']} of {falsification.CONFIRMED}",
         str(found["episodes"]),
         ", ".join(f"{key} {x:+.2f}" for key, x in largest),

@@ -114,7 +114,7 @@ def test_failures_are_counted_and_later_runs_continue(tmp_path, monkeypatch, cap
         (failure_rate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
         (failure_rate, ["helmet"], "unknown policy 'helmet'"),
         (falsification, ["helm", "--speed-range", "fast"], "unknown speed range 'fast'; allowed are slow, cruise"),
-        (falsification, ["helm", "--sea", "rough"], "unknown sea 'rough'; allowed are storm, adverse"),
+        (falsification, ["helm", "--kind", "rough"], "unknown kind 'rough'; allowed are storm, adverse"),
         (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
         (guards, ["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v1"),
     ],
@@ -370,11 +370,11 @@ def test_search_writes_a_scenario_in_which_the_policy_fails(tmp_path, monkeypatc
     monkeypatch.setattr(falsification, "_POPULATION", 4)
     monkeypatch.setattr(falsification, "_FIRST", (0.01, 0.1, 1.0, 3.0))
     monkeypatch.setattr(falsification, "CONFIRMED", 4)
-    given = ["backstepping", "--speed-range", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
+    given = ["backstepping", "--speed-range", "cruise", "--kind", "storm", "--generations", "1", "--out", "failing"]
     assert run(falsification.main, falsification.PROGRAM, given) == 0
     assert "severity" in capsys.readouterr().out
-    (entry,) = falsification.found_points(Path("seas/seas.json")).values()
-    scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
+    (entry,) = falsification.found_points(Path("failing/falsification.json")).values()
+    scenario = Scenario.load("failing/cruise-storm-fails-backstepping.toml")
     again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
     assert count_failures(again, 2.0) == entry["failed"] >= 2
     assert max(abs(x) for name, x in entry["coordinates"].items() if name != "direction") == pytest.approx(

@@ -2,7 +2,7 @@
 
 For each episode of benchmark-v1 with noisy measurements, the command computes how accurately the position can be
 estimated if everything is known except the random numbers of the episode; see `model` and `filter`. The means over the
-episodes of each case are kept in `research/data/floor.json`. `make pages` shows them.
+episodes of each case are kept in `research/data/estimation_bound.json`. `make pages` shows them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from research.lower_bounds.estimation.model import EstimationModel, has_bound
 
 PROGRAM = "python -m research estimation-bound"
 _SUITE = "benchmark-v1"  # suite of the episodes
-_FILE = DATA / "floor.json"  # record of the bounds
+_FILE = DATA / "estimation_bound.json"  # record of the bounds
 _BATCH = 52  # episodes that are computed together, limited by the memory
 _FIRST = 2
 """Number of episodes of each case, the first ones, whose bounds are recorded one by one for comparison."""
