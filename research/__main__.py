@@ -7,9 +7,8 @@ import sys
 from baselines.__main__ import Command, main
 
 COMMANDS = {
-    "bound": Command("research.lower_bounds.bound", "eval"),
     "deployment": Command("research.deployment.measure", "export"),
-    "estimation-bound": Command("research.lower_bounds.estimation.command", "eval"),
+    "estimation-bound": Command("research.estimation_bound.command", "eval"),
     "failure-rate": Command("research.robustness.failure_rate", "eval"),
     "falsification": Command("research.robustness.falsification", "tuning"),
     "faults": Command("research.robustness.faults", "eval"),
@@ -18,7 +17,6 @@ COMMANDS = {
     "gain-exponents": Command("research.vehicles.exponents", "train"),
     "governed": Command("research.robustness.governed", "eval"),
     "guards": Command("research.robustness.guards", "eval"),
-    "held-out": Command("research.results.held_out", "eval"),
     "identification-coverage": Command("research.vehicles.coverage", "eval"),
     "leaderboard": Command("research.leaderboard.command", "eval"),
     "model-error": Command("research.robustness.model_error", "eval"),

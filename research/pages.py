@@ -150,11 +150,9 @@ def main(arguments: Sequence[str]) -> int:
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             stale.append(page)
             if not options.check:
-                file.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(file, text)
         if not options.check and page in PAGES and hasattr(module := import_module(PAGES[page]), "figures"):
             for name, png in module.figures(page).items():
-                (options.out / "images").mkdir(parents=True, exist_ok=True)
                 write_atomically(options.out / "images" / name, png)
     done = "stale" if options.check else "wrote"
     print(f"{done}: {', '.join(stale)}" if stale else "all pages are up to date", file=sys.stdout)

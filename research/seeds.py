@@ -14,12 +14,10 @@ HELD_OUT = Seeds(70_000_000, 80_000_000)
 """Held-out comparison of policies; nothing is chosen on these episodes."""
 SENSITIVITY = Seeds(80_000_000, 90_000_000)
 """Sensitivity to model error and to other changes."""
-OPTIMUM = Seeds(90_000_000, 100_000_000)
-"""Test of the full-information optimum."""
 TRANSFER = Seeds(120_000_000, 130_000_000)
 """Comparison of two simulators."""
 FINE_TUNING = Seeds(140_000_000, 150_000_000)
 """Comparison of agents that were tuned to a vehicle; their hyper-parameters were chosen on the ten million before."""
 
-TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
+TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, TRANSFER, FINE_TUNING)
 """All ranges, in ascending order, without overlap."""

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from built_pages import check_links, check_pages, check_search, check_sorting
 
-import evaluate
 from auv_gym.scenarios.presets import PRESETS
 from baselines.agents.names import agent_folder
+from baselines.evaluation import options as evaluation
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -38,8 +38,6 @@ QUICK = {
     "clean": "",
 }
 """Options of the verbs that are run here."""
-CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
-"""Options of the shortest run of fresh episodes."""
 BY_CI = {"test", "commands", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
 BY_WORKFLOW = {"test-all", "package", "oldest", "matrix", "soak"}
@@ -66,7 +64,6 @@ ELSEWHERE = {
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
     r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
-    r"python -m research bound": "test_bound.py::test_a_run_continues_an_earlier_one",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
@@ -103,10 +100,6 @@ def quick(line):
     if name == "suites":
         rest = QUICK["verify"] if words[3] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
         return [*words[:4], *rest.split()]
-    if name == "held-out":
-        policies = [] if "--policy" in words else ["--policy", "open-loop"]
-        chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
-        return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
         return [*words, "--episodes", "1", "--out", "bounds.json"]
     if name == "dataset":
@@ -319,9 +312,9 @@ def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     if "--help" in line:
         with pytest.raises(SystemExit, match="0"):
-            evaluate.main(quick(line)[1:])
+            evaluation.main(quick(line)[1:])
     else:
-        assert evaluate.main(quick(line)[1:]) == 0
+        assert evaluation.main(quick(line)[1:]) == 0
 
 
 @pytest.mark.parametrize(

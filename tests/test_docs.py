@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-import evaluate
 from auv_gym.physics.vehicle import VEHICLES
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.presets import PRESETS
 from baselines import POLICIES, list_policies
 from baselines.agents.names import agent_folder
+from baselines.evaluation import options as evaluation
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
@@ -153,7 +153,7 @@ def compared(page, width, tmp_path, capsys, monkeypatch):
     command = re.search(
         r"^(?:python evaluate\.py|auv-gym evaluate) (--policy .+)$", page.read_text("utf-8"), re.MULTILINE
     )
-    assert evaluate.main([*command[1].split(), "--jobs", "1", "--out", str(tmp_path)]) == 0
+    assert evaluation.main([*command[1].split(), "--jobs", "1", "--out", str(tmp_path)]) == 0
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     (block,) = (block for block in blocks(page) if "steady [m]" in block.text)
     assert block.text in "\n".join(lines)

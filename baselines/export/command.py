@@ -64,7 +64,6 @@ def main(arguments: Sequence[str]) -> int:
         files[".h"] = c_header(agent, options.precision, options.weights, options.prefix).encode()
     if options.format in ("all", "onnx"):
         files[".onnx"] = _onnx(agent, options.precision)
-    options.out.mkdir(parents=True, exist_ok=True)
     for suffix, content in files.items():
         file = options.out / f"{agent.name}{suffix}"
         write_atomically(file, content)

@@ -149,7 +149,11 @@ def checked_plain(value: Any) -> Any:
 
 
 def write_atomically(file: Path, content: str | bytes) -> None:
-    """Write a file atomically: after a crash or a power failure it has the old or the new content, never a part."""
+    """Write a file atomically: after a crash or a power failure it has the old or the new content, never a part.
+
+    Its folder is made if it does not exist.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as stream:

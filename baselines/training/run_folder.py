@@ -122,7 +122,7 @@ class RunFolder:
         """The validation episodes of the run's scenarios; with an initial agent few, and without the oracle."""
         brief = self.config.origin is not None
         cells = [validation_cell(scenario, brief) for scenario, _ in self.config.scenarios]
-        return Validation(cells, self.folder, brief)
+        return Validation(cells, brief)
 
     @property
     def seconds(self) -> float:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from auv_gym import __version__
 from auv_gym.physics.namespaces import ARRAYS, Array
-from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import Policy
@@ -25,7 +20,6 @@ from baselines.evaluation.score import capped, error_cap, has_failed, speed_rang
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load_suite
 from baselines.evaluation.suites.anchor_errors import AnchorErrors, measured_anchor_errors, recorded_anchor_errors
-from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
 _SUITE = "benchmark-v1-validation"  # suite with the validation episodes of its scenarios
@@ -33,7 +27,6 @@ VALIDATED_EPISODES = 64  # of each scenario that is not in the suite
 _FEW = 12  # the same for a short training
 _QUANTILE = 0.999
 """Quantile of the errors in the validation episodes that an agent's region contains."""
-ANCHOR_ERRORS = "validation.json"  # file of a run folder with the errors of expert and oracle that are in no suite
 VALIDATION_PRECISION = "float32"  # of agents' networks: a fifth of the time; the score differs by 1e-6
 
 
@@ -63,16 +56,15 @@ class Validation:
 
     Args:
         cells: episodes of scenarios with the same number of substeps.
-        folder: for the file with the errors of expert and oracle; None: no file.
         brief: omit the oracle; a score of 1 is then zero error.
     """
 
-    def __init__(self, cells: Sequence[Cell], folder: Path | None = None, brief: bool = False) -> None:
+    def __init__(self, cells: Sequence[Cell], brief: bool = False) -> None:
         self.cells = cells
         self._caps = [_cap(cell.scenario) for cell in cells]
         self._episodes = SideBySide(cells)
-        known = self._by_speed_range(_anchor_errors(cells, folder, brief))
-        self.anchor_errors = {speed_range: _means(own) for speed_range, own in known.items()}
+        errors = [recorded_anchor_errors(cell) or measured_anchor_errors(cell, brief) for cell in cells]
+        self.anchor_errors = {speed_range: _means(own) for speed_range, own in self._by_speed_range(errors).items()}
 
     def run(self, policy: Policy) -> Verdict:
         """Return the results of a policy: means over scenarios, and the mean of the scores of the speed ranges.
@@ -127,30 +119,6 @@ def _mean(cells: Sequence[Any]) -> float:
     return float(np.mean([np.mean(cell) for cell in cells]))
 
 
-def _anchor_errors(cells: Sequence[Cell], folder: Path | None, brief: bool) -> list[AnchorErrors]:
-    """Return the errors of expert and oracle in each cell: from the suite, else from the folder, else measured."""
-    known = [recorded_anchor_errors(cell) for cell in cells]
-    if all(known):
-        return list(filter(None, known))
-    file = folder / ANCHOR_ERRORS if folder else None
-    key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
-    if file and (found := _read(file, key)):
-        return found
-    found = [recorded or measured_anchor_errors(cell, brief) for recorded, cell in zip(known, cells, strict=True)]
-    if file:
-        write_atomically(file, json_text({"hash": key, "anchor_errors": found}))
-    return found
-
-
 def _means(anchor_errors: Iterable[AnchorErrors]) -> AnchorErrors:
     """Return the means over cells, of the expert and of the oracle."""
     return AnchorErrors(*(_mean(errors) for errors in zip(*anchor_errors, strict=True)))
-
-
-def _read(file: Path, key: str) -> list[AnchorErrors] | None:
-    """Return the errors of a file; None if it is missing, damaged, or of other episodes than those of the key."""
-    with suppress(OSError, ValueError), guarded(str(file)):
-        record = read_json(file)
-        errors = [AnchorErrors(*(math.inf if x is None else float(x) for x in row)) for row in record["anchor_errors"]]
-        return errors if record["hash"] == key else None
-    return None

@@ -22,7 +22,7 @@ from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, li
 from baselines.gains.loading import adapted_gains, checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse, typed
-from baselines.tools.files import read_json
+from baselines.tools.files import read_json, write_atomically
 from baselines.tuning.objective import TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
@@ -108,9 +108,7 @@ def main(arguments: Sequence[str]) -> int:
     }
     print(json.dumps(record, indent=2))
     if not options.dry:
-        file = _file(options)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        write_atomically(_file(options), json.dumps(record, indent=2) + "\n")
     return DONE
 
 

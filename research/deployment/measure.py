@@ -197,7 +197,6 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, loss of score {loss}", flush=True)
     agents = kept | {m.name: asdict(m) for m in found}
     record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     return DONE
 

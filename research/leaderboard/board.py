@@ -40,7 +40,6 @@ def enter(submission: Submission, folder: Path, replace: bool = False) -> Path:
     file = folder / submission.suite.name / f"{submission.name}.npz"
     if file.exists() and not replace:
         raise FileExistsError(f"{file} is there already; choose another name, or --replace it")
-    file.parent.mkdir(parents=True, exist_ok=True)
     save_submission(submission, file)
     return file
 

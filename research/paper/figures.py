@@ -1,4 +1,4 @@
-"""Figures 3 to 6 of the paper, recomputed with the panels of the paper, and a figure of its noise study."""
+"""Figures 3 to 6 of the paper, recomputed with the panels of the paper."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
 from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
 from research.paper.closed_loop import Response
-from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
 EARLY = 40.0
 """End of the panels with the transient [s]."""
-NOISE_SPAN = 60.0
-"""Length of the panels of the noise study [s]."""
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
@@ -31,7 +28,6 @@ def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
             "fig4_forces": to_png(_forces(response)),
             "fig5_velocity_errors": to_png(velocity_errors(response)),
             "fig6_tracking_errors": to_png(_tracking_errors(response)),
-            "noise_study": to_png(noise(reproduction.noise)),
         }
 
 
@@ -123,38 +119,3 @@ def velocity_errors(response: Response) -> Figure:
 def _tracking_errors(response: Response) -> Figure:
     """Return figure 6: errors of position and heading."""
     return _error_figure(response, 0, (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi)), "Fig. 6")
-
-
-def noise(study: Sequence[NoiseRun]) -> Figure:
-    """Return the figure of the noise study: commands, position error, and the trade-off of the low-pass filters."""
-    figure, [[surge, yaw], [distance, trade]] = panels(2, 2, (9.0, 5.8))
-    dt = noise_scenario(None).control_dt
-    count = round(NOISE_SPAN / dt)
-    t = dt * (TRANSIENT + 1 + np.arange(count))
-    for run, colour in ((study[0], COLOURS[5]), (study[-1], COLOURS[0])):
-        label = f"low-pass at {run.cut_off:g} Hz" if run.cut_off else "no filter"
-        for ax, force in zip((surge, yaw), run.force[0, :count].T, strict=True):
-            ax.step(t, force, color=colour, linewidth=0.9, where="pre", label=label)
-        distance.plot(t, 100 * run.error[0, :count], color=colour, label=label)
-    distance.axhline(100 * POSITION_NOISE, color=COLOURS[1], linewidth=1.0, label="noise on x and on y (std)")
-    surge.set(ylabel="F_u [N]", xlabel="time [s]")
-    yaw.set(ylabel="F_r [N m]", xlabel="time [s]")
-    distance.set(ylabel="position error [cm]", xlabel="time [s]", ylim=(0, 130 * POSITION_NOISE))
-    for ax in (surge, distance):
-        ax.legend(loc="upper right", ncols=2, fontsize=7)
-    _trade(trade, study)
-    _letter([[surge, yaw], [distance, trade]], ["surge force", "yaw torque", "true position error", "filter's trade"])
-    figure.suptitle(
-        "Noise study: white noise of 10 cm, 1 deg, 1 cm/s, 1 deg/s at 10 Hz on the paper's circle", fontsize=10
-    )
-    return figure
-
-
-def _trade(ax: Axes, study: Sequence[NoiseRun]) -> None:
-    """Draw the position error against the standard deviation of the force, with a point for each low-pass filter."""
-    x, y = [run.force_std[0] for run in study], [100 * run.position_rms for run in study]
-    ax.plot(x, y, "o-", color=COLOURS[0])
-    for run, x_i, y_i in zip(study, x, y, strict=True):
-        label = f"{run.cut_off:g} Hz" if run.cut_off else "no filter"
-        ax.annotate(label, (x_i, y_i), textcoords="offset points", xytext=(4, 6), fontsize=8)
-    ax.set(xlabel="std of F_u [N]", ylabel="rms position error [cm]", xlim=(0, 1.15 * max(x)), ylim=(0, 1.3 * max(y)))

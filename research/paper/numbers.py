@@ -78,7 +78,6 @@ class Reproduction:
     remarks: list[Row]
     eigenvalues: NDArray[np.complex128]  # [1/s] on the paper's circle
     response: Response  # of the closed loop from the eight starts
-    noise: list[NoiseRun]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables as plain lists and dicts."""
@@ -101,9 +100,8 @@ def reproduce_paper(on_part: Callable[[str], None] = lambda _: None) -> Reproduc
     eigenvalues = closed_loop_eigenvalues(PAPER_VEHICLE, PAPER_GAINS, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate)
     rows += stability_rows(eigenvalues)
     on_part("noise study")
-    noise = noise_study()
-    rows += noise_rows(noise)
-    return Reproduction(rows, start_rows(response), remarks(), eigenvalues, response, noise)
+    rows += noise_rows(noise_study())
+    return Reproduction(rows, start_rows(response), remarks(), eigenvalues, response)
 
 
 def _printed(

@@ -25,9 +25,9 @@ from baselines.evaluation.score import (
     seeds_score,
 )
 from research.pages import table
-from research.results import held_out
 from research.results.collection import SUITES, Results, results_of
 from research.results.study_files import Study, load_studies
+from research.suites import held_out
 
 _SHORT = "short-"  # prefix of the short trainings that differ from `short-cruise` in one setting
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}

@@ -15,7 +15,7 @@ from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
 from baselines.tools.figure_style import MARKERS, Look, look, panels, styled, to_png
-from research.lower_bounds.estimation.command import recorded_bounds
+from research.estimation_bound.command import recorded_bounds
 from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"

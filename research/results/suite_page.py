@@ -14,7 +14,6 @@ from baselines.evaluation.report.columns import COLUMNS, NONE, Column, ranked
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE, interval_text, score_text, speed_range_of
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.lower_bounds import bound
 from research.pages import table
 from research.results.collection import ROUNDING, Results, better_than, results_of
 from research.results.navigation import ADDITIONAL, additional_errors, navigation_alone, navigation_part
@@ -108,15 +107,11 @@ def _bound(results: Results) -> str:
     beaten = [(c, p) for c, p, gain in better_than(OPTIMUM_POLICY, results) if gain > ROUNDING]
     names = ", ".join(f"`{policy}` in `{case}`" for case, policy in beaten) or "none"
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
-    counts = bound.optimum_counts()
-    counted = {cell.scenario.name for cell in results.suite.cells} <= set(counts)
-    held_out = f"\nOn held-out episodes of these cases: {bound.summary_text(counts)}." if counted else ""
     return (
         f"`{OPTIMUM_POLICY}`, the full-information optimum, knows all disturbances in advance and optimises the\n"
         f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the case.\n"
         f"It is solved to {1e3 * ROUNDING:g} mm. Policies whose mean error is smaller by more than that: {names}.\n"
         f"Of all other policies `{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases."
-        f"{held_out}"
     )
 
 

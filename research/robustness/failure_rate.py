@@ -19,7 +19,6 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint
@@ -38,8 +37,6 @@ PROGRAM = "python -m research failure-rate"
 _FILE = DATA / "failure_rate.json"  # record of the counts
 _EPISODES = 10_000  # of each name of --scenario
 _BATCH = 250  # episodes of a scenario that are simulated together
-ADVERSE = tuple(f"{speed_range}-adverse" for speed_range in SPEED_RANGES)
-"""Names of the storms with sensor and actuator faults."""
 FailureCount = Mapping[str, Any]
 """Results of a policy in a scenario, with the first seeds of `FAILURE_RATE`: `scenario` (SHA-256 of the scenario),
 `episodes`, `failed` (see `score.has_failed`), `largest_steady_rmse_m` [m]."""
@@ -55,8 +52,7 @@ class Options:
     policy: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY [POLICY ...]")]
     """Policies by name, folder or file."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = SPEED_RANGES
-    """Presets, scenario files, slow or cruise for the eight cases of a speed range, slow-adverse or cruise-adverse for
-    storms with sensor and actuator faults."""
+    """Presets, scenario files, slow or cruise for the eight cases of a speed range."""
     episodes: int = _EPISODES
     """Number of episodes of each name of --scenario, those of earlier runs included. The cases of a speed range have
     equal shares."""
@@ -72,9 +68,7 @@ def _scenarios_of(name: str) -> tuple[Scenario, ...]:
     """
     if name in SPEED_RANGES:
         return tuple(PRESETS[f"{name}-{case}"] for case in CASES)
-    if name in ADVERSE:
-        return (adverse(name.partition("-")[0]),)
-    return (checked_scenario(name, (*SPEED_RANGES, *ADVERSE)),)
+    return (checked_scenario(name, SPEED_RANGES),)
 
 
 def _run(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
@@ -122,7 +116,6 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     policies = checked_policies(options.policy)
     failure_counts(options.out)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     try:
         for policy in policies:
             for name, scenarios in named.items():

@@ -36,7 +36,7 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, called, check
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.search import strategies
 from research import DATA, DOCS
-from research.robustness.search_space import KINDS, coordinate_names, scenario_at
+from research.robustness.search_space import coordinate_names, scenario_at
 from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
@@ -64,9 +64,6 @@ class Options:
     """Policies by name, folder or file."""
     speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
     """Speed ranges: slow, cruise."""
-    kind: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = KINDS
-    """Ranges that are stretched: storm, those of the presets' storm with slewing actuators; adverse, those of the storm
-    of the training, also with sensor and actuator faults."""
     generations: int = 24
     """Generations of the search; a generation is 252 episodes."""
     out: Path = SCENARIO_FOLDER
@@ -79,17 +76,16 @@ class Search:
 
     policy: str
     speed_range: str
-    kind: str
 
     @property
     def name(self) -> str:
         """Name of the resulting scenario."""
         plain = "".join(c if c.isalnum() else "-" for c in self.policy)
-        return f"{self.speed_range}-{self.kind}-fails-{plain}"
+        return f"{self.speed_range}-storm-fails-{plain}"
 
     def scenario(self, severity: float, towards: Array) -> Scenario:
         """Return the scenario at a severity in a direction, see `search_space.scenario_at`."""
-        return scenario_at(self.speed_range, self.kind, self.name, severity, towards)
+        return scenario_at(self.speed_range, self.name, severity, towards)
 
 
 @dataclass(frozen=True)
@@ -154,7 +150,7 @@ def smallest_point(search: Search, generations: int) -> _Found:
     Raises:
         PolicyError: the actions of the policy are not finite.
     """
-    size = len(coordinate_names(search.speed_range, search.kind))
+    size = len(coordinate_names(search.speed_range))
     options: dict[str, Any] = {"popsize": _POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
     strategy = strategies().CMAEvolutionStrategy(np.full(size, 0.3), 0.5, options | {"CMA_diagonal": True})
     best, episodes, direction = math.inf, 0, np.zeros(size)
@@ -188,7 +184,7 @@ def _confirm(search: Search, severity: float, towards: Array, episodes: int) -> 
         cell = drawn(search.scenario(severity, towards), CONFIRMED, seed)
         failed = int(failure_margins(search, [cell])[1][0])
         if 2 * failed >= CONFIRMED:
-            *place, direction = coordinate_names(search.speed_range, search.kind)
+            *place, direction = coordinate_names(search.speed_range)
             where = {name: severity * float(x) for name, x in zip(place, towards, strict=False)}
             return _Found(digest, severity, {**where, direction: float(towards[-1])}, failed, episodes)
         severity *= _STEP
@@ -220,7 +216,6 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("speed range", options.speed_range, SPEED_RANGES)
-    check_words("kind", options.kind, KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
     policies = checked_policies(options.policy)
@@ -230,10 +225,7 @@ def main(arguments: Sequence[str]) -> int:
         found_points(_record_of(folder))
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
-    searches = [
-        Search(p, speed_range, kind) for kind in options.kind for speed_range in options.speed_range for p in policies
-    ]
-    for search in searches:
+    for search in [Search(policy, speed_range) for speed_range in options.speed_range for policy in policies]:
         try:
             found = smallest_point(search, options.generations)
         except PolicyError as error:
@@ -245,7 +237,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _write(search: Search, found: _Found, folder: Path) -> None:
     """Write the result of a search and its scenario to a folder, and print it."""
-    about = {"policy": search.policy, "speed_range": search.speed_range, "kind": search.kind}
+    about = {"policy": search.policy, "speed_range": search.speed_range}
     file = _record_of(folder)
     write_atomically(file, json_text({**found_points(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):

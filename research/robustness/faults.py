@@ -72,7 +72,6 @@ def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     own = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in cells]
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     for policy in checked_policies(policies):
         runs = run_and_show([(policy, cell) for cell in own], Workers(options.jobs))
         add_rows(options.out, policy, fingerprint(policy), {run.scenario.name: _row(run) for run in runs})

@@ -106,7 +106,6 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     policies = checked_policies(options.policy)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     for policy in policies:
         for name in options.suite:
             suite = suites.load_suite(name)

@@ -231,7 +231,6 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"{privileged[0]} uses more than the observation, so it has no wrong model; leave it out")
     if options.episodes is not None and options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more, since intervals are over episodes")
-    options.out.mkdir(parents=True, exist_ok=True)
     for name in options.policy:
         file = options.out / f"{Path(name).name}.json"
         record = read_json(file) if file.exists() else {}

@@ -39,8 +39,7 @@ def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list
     """Return the rows of a policy, one for each set of scenarios."""
     groups: dict[str, list[failure_rate.FailureCount]] = {}
     for name, count in counts.items():
-        place = name if name in failure_rate.ADVERSE else f"the eight cases, {speed_range_of(name)}"
-        groups.setdefault(place, []).append(count)
+        groups.setdefault(f"the eight cases, {speed_range_of(name)}", []).append(count)
     rows = []
     for place, own in groups.items():
         failed, episodes, worst = failure_rate.total(own)
@@ -50,9 +49,9 @@ def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list
     return rows
 
 
-def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, str, float]:
+def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, float]:
     found = item[1]
-    return found["kind"], found["speed_range"], -(found["severity"] or math.inf)
+    return found["speed_range"], -(found["severity"] or math.inf)
 
 
 def _point(name: str, found: Mapping[str, Any]) -> list[str]:
@@ -61,7 +60,7 @@ def _point(name: str, found: Mapping[str, Any]) -> list[str]:
     severity = found["severity"]
     return [
         f"`{found['policy']}`",
-        f"{found['speed_range']}, {found['kind']}",
+        found["speed_range"],
         "none found" if severity is None else f"[{severity:.2f}](failing-scenarios/{name}.toml)",
         f"{found['failed']} of {falsification.CONFIRMED}",
         str(found["episodes"]),

@@ -1,9 +1,9 @@
 """The search space of the falsification: disturbances as coordinates, and the scenario at a point.
 
 A coordinate is the position of a quantity in its range: 0 is calm water and the known vehicle, and +-1 are the ends of
-the range in the storm of the presets, or in the storm of the training with sensor and actuator faults. The severity of
-a point is its largest coordinate: all points of severity s are in the ranges of the storm, each stretched s times about
-calm water. Gusts, phases of the waves and noise are not coordinates: they are drawn for each episode.
+the range in the storm of the presets, with slewing actuators. The severity of a point is its largest coordinate: all
+points of severity s are in the ranges of the storm, each stretched s times about calm water. Gusts, phases of the waves
+and noise are not coordinates: they are drawn for each episode.
 """
 
 from __future__ import annotations
@@ -19,13 +19,10 @@ from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWa
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths import PATHS
-from auv_gym.scenarios.mixtures import SLEW_TIMES, adverse
+from auv_gym.scenarios.mixtures import SLEW_TIMES
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
-KINDS = ("storm", "adverse")
-"""Storms whose ranges are stretched: that of the presets with slewing actuators, or also that with sensor and actuator
-faults."""
 TOP_SPEED = 2.0  # [m/s] largest speed of the path at any severity
 _LEAST = 0.2  # [1] smallest factor of a mass, a drag or a limit
 
@@ -60,19 +57,9 @@ def _upwards(interval: Interval, most: float = math.inf) -> Range:
     return Range(0.0, 0.0, high, 0.0, most)
 
 
-def _storm(speed_range: str, kind: str) -> Scenario:
-    return PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
-
-
-def ranges(speed_range: str, kind: str) -> dict[str, Range]:
-    """Return the ranges of the coordinates by name, from the scenarios of the storms.
-
-    Raises:
-        ValueError: there is no such kind.
-    """
-    if kind not in KINDS:
-        raise ValueError(f"unknown kind {kind!r}; allowed are {', '.join(KINDS)}")
-    storm = _storm(speed_range, kind)
+def ranges(speed_range: str) -> dict[str, Range]:
+    """Return the ranges of the coordinates by name, from the scenario of the storm."""
+    storm = PRESETS[f"{speed_range}-storm"]
     current, waves, mismatch, path, start = storm.current, storm.waves, storm.mismatch, storm.path, storm.start
     assert isinstance(current, RandomCurrent)
     assert isinstance(waves, RandomWaves)
@@ -80,7 +67,7 @@ def ranges(speed_range: str, kind: str) -> dict[str, Range]:
     assert isinstance(path, RandomPath)
     masses = {name: _symmetric(getattr(mismatch, name), _LEAST) for name in ("mass", "m33", "d11", "d22", "d33")}
     lowest = 1.01 * storm.vehicle.m11 / storm.vehicle.m22  # the sway mass stays above the surge mass
-    found = {
+    return {
         "speed": _symmetric(path.speed, 0.05, TOP_SPEED),
         "turn_rate": Range(0.0, -path.turn_rate, path.turn_rate),
         "current": _upwards(current.speed),
@@ -97,44 +84,22 @@ def ranges(speed_range: str, kind: str) -> dict[str, Range]:
         "start_psi": _symmetric(start.psi_e, -math.pi, math.pi),
         "start_surge": Range(1.0, 1.0, float(np.min(start.surge)), 0.0),
     }
-    return found if kind == "storm" else {**found, **_fault_ranges(storm)}
-
-
-def _fault_ranges(storm: Scenario) -> dict[str, Range]:
-    """Return the ranges of the faults in a storm with sensor and actuator faults."""
-    s, act, current, waves = storm.sensors, storm.actuators, storm.current, storm.waves
-    assert isinstance(current, RandomCurrent)
-    assert isinstance(waves, RandomWaves)
-    usual = PRESETS[storm.name.replace("adverse", "storm")].waves
-    assert isinstance(usual, RandomWaves)
-    return {
-        "wave_band": Range(usual.band[0], usual.band[0], waves.band[0], 0.02),
-        "shear": _upwards(current.shear),
-        "heading_bias": _symmetric(s.heading_bias),
-        "velocity_bias": _symmetric(s.velocity_bias),
-        "yaw_rate_bias": _symmetric(s.yaw_rate_bias),
-        "outages": _upwards(s.outages, 60.0),
-        "effectiveness": Range(1.0, 1.0, float(np.min(act.effectiveness)), _LEAST),
-        "reach": Range(1.0, 1.0, float(np.min(act.reach)), _LEAST),
-        "delay": _upwards(act.delay, 10.0),
-    }
 
 
 DIRECTION = "direction"
 """Coordinate of the current's direction, in half turns at any severity."""
 
 
-def coordinate_names(speed_range: str, kind: str) -> tuple[str, ...]:
+def coordinate_names(speed_range: str) -> tuple[str, ...]:
     """Return the names of the coordinates; the last one is the direction of the current."""
-    return (*ranges(speed_range, kind), DIRECTION)
+    return (*ranges(speed_range), DIRECTION)
 
 
-def scenario_at(speed_range: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
+def scenario_at(speed_range: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
     """Return the scenario at a point.
 
     Args:
         speed_range: "slow" or "cruise".
-        kind: one of `KINDS`.
         name: the name of the scenario.
         severity: distance of the point from calm water, in units of the ranges.
         towards: direction of the point, a coordinate in [-1, 1] for each of `coordinate_names`.
@@ -142,9 +107,9 @@ def scenario_at(speed_range: str, kind: str, name: str, severity: float, towards
     Raises:
         ValueError: there is no such scenario, for example because its vehicle is too stiff for the integration.
     """
-    storm = _storm(speed_range, kind)
+    storm = PRESETS[f"{speed_range}-storm"]
     *place, direction = map(float, towards)
-    v = {key: r.at(severity * x) for (key, r), x in zip(ranges(speed_range, kind).items(), place, strict=True)}
+    v = {key: r.at(severity * x) for (key, r), x in zip(ranges(speed_range).items(), place, strict=True)}
     mismatch: dict[str, Any] = {key: v[key] for key in ("mass", "ratio", "m33", "d11", "d22", "d33", "quadratic")}
     turn = v["turn_rate"]
     path = PATHS["line"](v["speed"]) if abs(turn) < 1e-4 else PATHS["circle"](v["speed"], turn)
@@ -164,14 +129,14 @@ def _current(storm: Scenario, v: Mapping[str, float], direction: float) -> Rando
     """Return the current of the storm with the values of a point."""
     own = storm.current
     assert isinstance(own, RandomCurrent)
-    return replace(own, speed=v["current"], direction=direction, gust=v["gust"], shear=v.get("shear", 0.0))
+    return replace(own, speed=v["current"], direction=direction, gust=v["gust"])
 
 
 def _waves(storm: Scenario, v: Mapping[str, float]) -> RandomWaves:
     own = storm.waves
     assert isinstance(own, RandomWaves)
     axes: dict[str, Any] = {axis: v[f"waves_{axis}"] for axis in ("surge", "sway", "yaw")}
-    return replace(own, **axes, band=(v.get("wave_band", own.band[0]), own.band[1]))
+    return replace(own, **axes)
 
 
 def _sensors(storm: Scenario, v: Mapping[str, float]) -> Any:
@@ -179,14 +144,11 @@ def _sensors(storm: Scenario, v: Mapping[str, float]) -> Any:
     changes: dict[str, Any] = {
         name: v["noise"] * getattr(own, name) for name in ("position", "heading", "velocity", "yaw_rate")
     }
-    faults = "heading_bias", "velocity_bias", "yaw_rate_bias", "outages"
-    changes |= {name: v[name] for name in faults if name in v}
     return replace(own, **changes)
 
 
 def _actuators(storm: Scenario, v: Mapping[str, float]) -> Any:
     own = storm.actuators
     slew = max(v["slew"], 1e-2)  # [s] from zero to full force
-    faults: dict[str, Any] = {name: v[name] for name in ("effectiveness", "reach", "delay") if name in v}
     rates = {"F_u_rate": own.F_u_max / slew, "F_r_rate": own.F_r_max / slew}
-    return replace(own, lag=v["lag"], **rates, **faults)
+    return replace(own, lag=v["lag"], **rates)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation import entry
+from baselines.evaluation import options as evaluation
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 from research import DOCS
@@ -55,7 +55,6 @@ def main(arguments: Sequence[str]) -> int:
         pages = options.pages or Path(temporary)
         _evaluate(pages)
         try:
-            options.out.mkdir(parents=True, exist_ok=True)
             for name, png in _pictures(program, pages).items():
                 write_atomically(options.out / f"report-{name}.png", png)
         except OSError as error:
@@ -69,7 +68,7 @@ def _evaluate(pages: Path) -> None:
     """Evaluate the policies if the report is missing."""
     if not (pages / "suite" / "report.html").exists():
         words = ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES)
-        entry.main([*words, "--out", str(pages / "suite")])
+        evaluation.main([*words, "--out", str(pages / "suite")])
 
 
 def _pictures(program: str, pages: Path) -> dict[str, bytes]:

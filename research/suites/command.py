@@ -18,7 +18,7 @@ from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
-from research.suites import sealed
+from research.suites import held_out, sealed
 from research.suites.builder import BUILDERS, SHARED, anchors_of, build
 from research.suites.verify import PolicyVerdict, cells_to_run, verdict_line
 
@@ -49,6 +49,8 @@ class Options:
     """Record only the first episodes of each cell, for a slow policy."""
     cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Verify only the cells of these scenarios. Cells run whole, since parts of a cell differ in the last bits."""
+    held_out: bool = False
+    """Record on held-out episodes of the cases of benchmark-v2 or unmodelled-v1, on which nothing was chosen."""
     secret: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="")] = None
     """The secret, to open a suite."""
     stamp: bool = False
@@ -72,6 +74,8 @@ def main(arguments: Sequence[str]) -> int:
     check_words("policy", options.policy, list_policies())
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
+    if options.held_out and (options.action != "record" or not {*options.name} <= {*held_out.HELD_OUT_EPISODES}):
+        raise UsageError(f"--held-out is for record of {' and '.join(held_out.HELD_OUT_EPISODES)}")
     if (options.secret is None) == (options.action == "open"):
         raise UsageError("open needs --secret WORDS, as seal has printed it; no other action takes it")
     actions = {
@@ -144,13 +148,16 @@ def _measure(name: str, _: Options) -> int:
 
 def _record(name: str, options: Options) -> int:
     """Record policy by policy, so that an interruption loses the results of one policy only."""
-    suite, status = suites.load_suite(name), DONE
+    suite, status = held_out.held_out(name) if options.held_out else suites.load_suite(name), DONE
+    folder = held_out.HELD_OUT_FOLDER if options.held_out else recorded.RECORDED_FOLDER
     for policy in options.policy or tuple(list_policies()):
         speed_ranges = recorded.speed_ranges_of(policy)
         own = suite.cells_in(speed_ranges)
+        if not own:
+            continue
         found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
-            recorded.save_recorded(suite, found, versions(), speed_ranges=speed_ranges)
+            recorded.save_recorded(suite, found, versions(), folder, speed_ranges)
         except ValueError as error:
             reasons = dict.fromkeys(run.error for run in found if run.error)
             print(f"{called(PROGRAM)}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)

@@ -133,7 +133,6 @@ def main(arguments: Sequence[str]) -> int:
                     status = max(status, own)
                     continue
                 kept[name] = found
-                options.out.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(options.out, json_text(record))
                 print(f"{vehicle}: {name}", flush=True)
     return status

@@ -15,11 +15,11 @@ from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.kernels import ACTIONS, OUTCOMES, MadeBodies, Outcome, Side
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Parts, Plant, current_at, step
-from research.transfer.simulators import Simulator
+from research.transfer.simulators import SixDofSimulator
 from research.transfer.six_dof import Deviation, Inputs
 
-SimulatorFactory = Callable[[int], Simulator]
-"""Returns a simulator with N vehicles."""
+SimulatorFactory = Callable[[int], SixDofSimulator]
+"""Returns a simulator with N vehicles; any class with the methods of `SixDofSimulator` will do."""
 
 
 def deviation(true: Coefficients, known: Coefficients) -> Deviation:
@@ -32,7 +32,7 @@ def deviation(true: Coefficients, known: Coefficients) -> Deviation:
 
 
 class SimulatorBodies:
-    """N vehicles of a `Simulator` with the interface `kernels.Bodies`.
+    """N vehicles of a simulator with the interface `kernels.Bodies`.
 
     Commanded forces, delays, current, waves, sensors and task are those of `simulation.step`. The actuator lag of an
     episode is ignored: the other simulator has its own.

@@ -94,7 +94,6 @@ def main(arguments: Sequence[str]) -> int:
             "trials": trials.steady_motion(vehicle),
         }
         print(f"{vehicle}: {verdict(record[vehicle])}", flush=True)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     print(f"written: {options.out}")
     return DONE
@@ -125,7 +124,6 @@ def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
     tasks = [TransferTask(policy, vehicle, cases, options.episodes) for policy, cases in missing.items() if cases]
     for task, found in Workers(options.jobs).results(TransferTask.run, [(task,) for task in tasks]):
         known[task.policy] |= found
-        files[task.policy].parent.mkdir(parents=True, exist_ok=True)
         text = json_text({"stamp": stamps[task.policy], "cases": known[task.policy]})
         write_atomically(files[task.policy], text)
         print(f"{vehicle}: {task.policy}", file=sys.stderr, flush=True)

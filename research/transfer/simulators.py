@@ -1,4 +1,4 @@
-"""Simulators of vehicles with six degrees of freedom: the interface for an environment, and our own simulator."""
+"""A simulator of vehicles with six degrees of freedom, for `research.transfer.bodies`."""
 
 from __future__ import annotations
 
@@ -53,35 +53,6 @@ SIX_DOF_MODELS: Mapping[str, _Model] = {model.name: model for model in (REMUS100
 """The models by the names of their vehicles."""
 
 
-class Simulator(Protocol):
-    """N vehicles of another simulator.
-
-    Positions are in the plane, seen from above; u, v are relative to the water, level and along the heading.
-    """
-
-    def place(self, indices: Any, states: Array, deviations: Array) -> None:
-        """Set the states of n of the vehicles, with all other states in equilibrium.
-
-        Args:
-            indices: index of the vehicles.
-            states: x, y, psi, u, v, r, shape (6, n).
-            deviations: rows of a `six_dof.Deviation`, shape (9, n).
-        """
-
-    def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
-        """Advance by dt [s] with the rows of `six_dof.Inputs`, shape (7, N).
-
-        Returns:
-            x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] of the actuators, shape (2, N).
-        """
-
-    def kept(self) -> Any:
-        """Return a copy of the state of the simulator."""
-
-    def restore(self, kept: Any) -> None:
-        """Restore a state that `kept` has returned."""
-
-
 RATES_ROWS = {
     "inputs": len(Inputs._fields),
     "deviation": len(Deviation._fields),
@@ -116,9 +87,10 @@ def _of_point(states: Array, eps: float) -> Array:
 
 
 class SixDofSimulator:
-    """A `Simulator` with N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
+    """N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
 
-    Positions and velocities are those of the tracked point of the planar model.
+    Positions and velocities are those of the tracked point of the planar model: positions in the plane, seen from
+    above; u, v relative to the water, level and along the heading.
 
     Args:
         vehicle: its name.
@@ -148,12 +120,22 @@ class SixDofSimulator:
         return self._arrays["began"]
 
     def place(self, indices: Any, states: Array, deviations: Array) -> None:
-        """See `Simulator.place`."""
+        """Set the states of n of the vehicles, with all other states in equilibrium.
+
+        Args:
+            indices: index of the vehicles.
+            states: x, y, psi, u, v, r, shape (6, n).
+            deviations: rows of a `six_dof.Deviation`, shape (9, n).
+        """
         self.rows[:, indices] = self._model.placed(_of_point(states, -self._eps))
         self._arrays["deviation"][:, indices] = deviations
 
     def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
-        """See `Simulator.advance`."""
+        """Advance by dt [s] with the rows of `six_dof.Inputs`, shape (7, N).
+
+        Returns:
+            x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] of the actuators, shape (2, N).
+        """
         acting = Inputs(*inputs)  # a yaw moment from outside comes with a side force, as in the planar model
         self._arrays["inputs"][:] = acting._replace(Y=acting.Y - self._side * acting.N)
         steps = math.ceil(dt / STEP - 1e-9)
@@ -178,10 +160,10 @@ class SixDofSimulator:
         return arrays["rates"]
 
     def kept(self) -> Any:
-        """See `Simulator.kept`."""
+        """Return a copy of the state of the simulator."""
         return {array: values.copy() for array, values in self._arrays.items()}
 
     def restore(self, kept: Any) -> None:
-        """See `Simulator.restore`."""
+        """Restore a state that `kept` has returned."""
         for array, values in kept.items():
             self._arrays[array][:] = values

@@ -14,7 +14,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import VehicleModel, vehicle_model
 from baselines.identification.log import Log
 from baselines.identification.trials import EXAMPLE_CURRENT, PlantStep, Segment, Simulated, Trial, recorded
-from research.transfer.simulators import Simulator, SixDofSimulator
+from research.transfer.simulators import SixDofSimulator
 from research.transfer.six_dof import AS_PUBLISHED, Inputs
 
 DURATION = {"remus100": 240.0, "otter": 90.0}
@@ -41,7 +41,7 @@ _SHARES = (0.1, 0.25, 0.5, 1.0)
 
 
 class SimulatedVehicle:
-    """One vehicle of a `Simulator` as a `PlantStep` of the trials; its own state counts, not the given one.
+    """One vehicle of a simulator as a `PlantStep` of the trials; its own state counts, not the given one.
 
     Args:
         simulator: simulator with one vehicle, which is placed at the origin.
@@ -49,7 +49,7 @@ class SimulatedVehicle:
         speed: initial surge velocity [m/s].
     """
 
-    def __init__(self, simulator: Simulator, current: CurrentVelocity = STILL_WATER, speed: float = 0.0) -> None:
+    def __init__(self, simulator: SixDofSimulator, current: CurrentVelocity = STILL_WATER, speed: float = 0.0) -> None:
         self._simulator, self._current = simulator, current
         states = np.zeros((6, 1))
         states[3] = speed

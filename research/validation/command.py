@@ -50,7 +50,6 @@ def main(arguments: Sequence[str]) -> int:
             records[name] = compared(options.logs) if name == FOLDER else cross_validated(name, options.logs)
         except ValueError as error:
             raise UsageError(str(error)) from error
-        options.out.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(options.out, json_text(records))
     print(f"written: {options.out}")
     return DONE

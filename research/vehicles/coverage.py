@@ -168,7 +168,6 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.logs < 1:
         raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     records: dict[str, Any] = {}
     for name in _VEHICLES:
         records[name] = _counted(name, options.logs)

@@ -149,14 +149,13 @@ def main(arguments: Sequence[str]) -> int:
     for vehicle_model in vehicle_models:
         if options.what == "agent":
             gains = _found(record, vehicle_model.name)["gains"]
-            record = _merged(
-                record, {"agent": {vehicle_model.name: beside(vehicle_model, gains, options.held_out)}}, options.out
-            )
-            continue
-        for name in options.policy or SEARCHED:
-            record = _merged(
-                record, {"search": {vehicle_model.name: {name: searched(vehicle_model, name, options)}}}, options.out
-            )
+            record.setdefault("agent", {})[vehicle_model.name] = beside(vehicle_model, gains, options.held_out)
+            write_atomically(options.out, json_text(record))
+        for name in (options.policy or SEARCHED) if options.what == "search" else ():
+            found = record.setdefault("search", {}).setdefault(vehicle_model.name, {})
+            found[name] = searched(vehicle_model, name, options)
+            print(vehicle_model.name, name, json_text(found[name]), flush=True)
+            write_atomically(options.out, json_text(record))
     return DONE
 
 
@@ -187,18 +186,3 @@ def _check(options: Options) -> None:
         raise UsageError(
             f"--evaluations is {options.evaluations}; it must be at least 0, and less than use up the seeds"
         )
-
-
-def _merged(old: Any, new: Any, out: Path) -> Any:
-    """Return a record with new entries in it, and write it to a file; print what is new."""
-
-    def joined(a: Any, b: Any, depth: int) -> Any:
-        if depth == 0 or not isinstance(a, Mapping):
-            return b
-        return {**a, **{key: joined(a.get(key), value, depth - 1) for key, value in b.items()}}
-
-    record = joined(old, new, 3)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(out, json_text(record))
-    print(json_text(new), flush=True)
-    return record

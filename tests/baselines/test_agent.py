@@ -15,7 +15,6 @@ from safetensors.numpy import save_file
 from torch import nn
 
 import baselines
-import evaluate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
@@ -25,6 +24,7 @@ from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import ERROR_FEATURES, FEATURES, Inputs
 from baselines.agents.networks import Gru, Lstm, Mlp, network_of, network_record
+from baselines.evaluation import options as evaluation
 from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)
@@ -393,7 +393,7 @@ def test_inputs_go_with_the_agent_and_evaluate_runs_its_folder(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     episodes = ["--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"]
     with pytest.raises(UsageError, match="has no region of its training"):
-        evaluate.main(["--policy", "./mine:fade", *episodes])
-    assert evaluate.main(["--policy", "./mine", *episodes]) == 0
+        evaluation.main(["--policy", "./mine:fade", *episodes])
+    assert evaluation.main(["--policy", "./mine", *episodes]) == 0
     found = json.loads((tmp_path / "out/results.json").read_text())["results"]
     assert [r["error"] for r in found] == [None, None]

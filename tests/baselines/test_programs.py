@@ -18,7 +18,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import evaluate
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.observation import TERMS
@@ -26,6 +25,7 @@ from baselines import make_policy
 from baselines.agents import programs
 from baselines.agents.names import agent_folder, is_path
 from baselines.agents.programs import ProgramError, ProgramPolicy
+from baselines.evaluation import options as evaluation
 from baselines.evaluation import rollout as rollout_module
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import PolicyError, Stopwatch, make_env, rollout
@@ -197,7 +197,9 @@ def test_errors_are_one_line(case, monkeypatch):
     monkeypatch.setattr(programs, "START", 0.5 if case in ("is silent", "closes") else 20.0)
     name = text if text.startswith("cmd:") else program(f"import os\nopen('pid', 'w').write(str(os.getpid()))\n{text}")
     with pytest.raises(UsageError, match=says) as caught:
-        evaluate.main(["--policy", name, "--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"])
+        evaluation.main(
+            ["--policy", name, "--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"]
+        )
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 700
     if Path("pid").exists():
@@ -346,7 +348,7 @@ def test_files_that_a_command_names_belong_to_its_fingerprint(tmp_path, monkeypa
     assert fingerprint("cmd:x model") != before
     monkeypatch.setattr(programs, "MOST_FILES", 1)
     with pytest.raises(UsageError, match="names the folder model, which holds more than 1 files"):
-        evaluate.main(["--policy", program(LOOP + TELL) + " model", "--scenario", "slow-calm", "--out", "out"])
+        evaluation.main(["--policy", program(LOOP + TELL) + " model", "--scenario", "slow-calm", "--out", "out"])
 
 
 def test_a_command_is_not_another_kind_of_path():

@@ -211,14 +211,14 @@ def test_frozen_actor_does_not_change(algo):
     assert not all(torch.equal(a, b) for a, b in zip(actor, parameters(model.actor), strict=True))
 
 
-def test_validation_is_what_an_evaluation_measures(tmp_path):
+def test_validation_is_what_an_evaluation_measures():
     """Scenarios of different lengths, one in which vehicles are lost, against `rollout` of each alone."""
     scenarios = [
         Scenario.from_dict({**STORM.to_dict(), "name": "cruise-short"}),
         Scenario.from_dict({**PRESETS["cruise-current"].to_dict(), "name": "own", "steps": 60, "lost_distance": 2.0}),
     ]
     cells = [drawn(scenario, 6, 11) for scenario in scenarios]
-    validation = Validation(cells, tmp_path)
+    validation = Validation(cells)
     assert validation.run(make_policy("backstepping")).score == pytest.approx(0, abs=1e-12)
     verdict = validation.run(make_policy("open-loop"))
     results = [rollout(make_policy("open-loop"), cell.scenario, cell.episodes, 1.0).measures for cell in cells]
@@ -229,16 +229,6 @@ def test_validation_is_what_an_evaluation_measures(tmp_path):
     assert verdict.failed == pytest.approx(np.mean([(c == 2.0).mean() for c in capped]))
     assert validation.score(validation.anchor_errors["cruise"].oracle_m, "cruise") == 1
     assert all(0 < own.oracle_m < own.expert_m for own in validation.anchor_errors.values())
-
-
-def test_anchor_errors_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
-    cells = [drawn(STORM, 3, 0)]
-    first = Validation(cells, tmp_path)
-    monkeypatch.setattr("baselines.evaluation.suites.anchor_errors.rollout", None)
-    second = Validation(cells, tmp_path)
-    assert first.anchor_errors == second.anchor_errors
-    with pytest.raises(TypeError):
-        Validation([drawn(STORM, 3, 1)], tmp_path)
 
 
 def test_presets_are_validated_on_the_frozen_suite():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 
-import evaluate
+from baselines.evaluation import options as evaluation
 from baselines.evaluation import recorded, request, suites
 from baselines.evaluation.about import About
 from baselines.evaluation.fingerprints import fingerprint
@@ -94,7 +94,7 @@ def typed(line):
         if option in words:
             words[words.index(option) + 1] = value
     for before, main in (
-        (["auv-gym", "evaluate"], evaluate.main),
+        (["auv-gym", "evaluate"], evaluation.main),
         (["auv-gym", "submit"], submit.main),
         (["python", "-m", "research", "leaderboard"], command.main),
     ):
@@ -131,7 +131,7 @@ def test_commands_of_the_tutorial(capsys):
 @pytest.mark.usefixtures("small")
 def test_submission_of_an_agent_has_its_speed_range_only(suite, capsys):
     policy = ["--policy", "apg-slow", "--submit", "mine", "--training-steps", "8e6", "--training-seconds", "300"]
-    assert evaluate.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
+    assert evaluation.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
     found = read_submission(Path("out/mine.npz"))
     assert [run.scenario.name for run in found.runs] == ["slow-calm"]
     assert (found.policy, found.about.training_steps) == ("apg-slow", 8e6)
@@ -161,13 +161,13 @@ def test_submission_of_an_agent_has_its_speed_range_only(suite, capsys):
 def test_wrong_submissions_are_refused_before_episodes_run(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=re.escape(message)):
-        evaluate.main(shlex.split(words))
+        evaluation.main(shlex.split(words))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_policy_gives_no_submission(small, capsys):
     Path("late.py").write_text("class Law:\n    def predict(self, *_):\n        raise KeyError('x')\n")
-    assert evaluate.main(["--policy", "late.py:Law", "--submit", "a", "--jobs", "1", "--out", "out"]) == FAILED
+    assert evaluation.main(["--policy", "late.py:Law", "--submit", "a", "--jobs", "1", "--out", "out"]) == FAILED
     assert "no submission: late.py:Law failed in slow-calm: KeyError" in capsys.readouterr().err
     assert not Path("out/a.npz").exists()
 

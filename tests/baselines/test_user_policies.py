@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import evaluate
 from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
@@ -22,6 +21,7 @@ from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
+from baselines.evaluation import options as evaluation
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
@@ -45,7 +45,7 @@ def example(tmp_path, monkeypatch):
 
 
 def test_documented_module(example, tmp_path):
-    assert evaluate.main(["--policy", example, *COMMON]) == 0
+    assert evaluation.main(["--policy", example, *COMMON]) == 0
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", example]
     assert rows[1]["steady_rmse_m"]["mean"] < 0.5
@@ -92,7 +92,7 @@ def test_mistakes(example, name, says, tmp_path, capsys):
     with zipfile.ZipFile("unknown.zip", "w") as archive:
         archive.writestr("data", json.dumps({"policy_class": {"__module__": "mine"}}))
     with pytest.raises(UsageError, match=re.escape(says)):
-        evaluate.main(["--policy", name, *COMMON])
+        evaluation.main(["--policy", name, *COMMON])
     assert not Path("out").exists()
 
 
@@ -118,7 +118,7 @@ MODELS = ("PPO", "RecurrentPPO", "SAC", "TD3", "CrossQ", "ARS")
 
 def test_documented_zip(models, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert evaluate.main(["--policy", str(models / "PPO.zip"), *COMMON]) == 0
+    assert evaluation.main(["--policy", str(models / "PPO.zip"), *COMMON]) == 0
     assert "can run any code" in capsys.readouterr().err
     assert json.loads(Path("out/results.json").read_text())["results"][1]["error"] is None
 
@@ -201,8 +201,8 @@ def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
     Path("early.py").write_text("import sys\n\nsys.exit(0)\n")
     Path("late.py").write_text("import sys\n\n\nclass Law:\n    def predict(self, *_):\n        sys.exit('\\x1b[2J')\n")
     with pytest.raises(UsageError, match=r"early\.py cannot be imported: SystemExit"):
-        evaluate.main(["--policy", "early.py:Law", *COMMON])
-    assert evaluate.main(["--policy", "late.py:Law", *COMMON]) == 1
+        evaluation.main(["--policy", "early.py:Law", *COMMON])
+    assert evaluation.main(["--policy", "late.py:Law", *COMMON]) == 1
     out, err = capsys.readouterr()
     assert "failed: late.py:Law in cruise-calm, SystemExit" in err
     assert "\x1b[2J" not in out + err + Path("out/results.json").read_text()
@@ -212,20 +212,20 @@ def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("option", ["--policy", "--out", "--scenario"])
 def test_names_that_cannot_be_printed_are_refused(option, word, capsys):
     with pytest.raises(UsageError, match="cannot be printed"):
-        evaluate.main([option, word])
+        evaluation.main([option, word])
 
 
 def test_a_scenario_of_a_name_that_cannot_be_printed_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.json").write_text(json.dumps({"name": "\x1b[31m", "steps": 5}))
     with pytest.raises(UsageError, match="printable characters"):
-        evaluate.main(["--scenario", "a.json"])
+        evaluation.main(["--scenario", "a.json"])
 
 
 def test_no_cell_of_a_spreadsheet_is_a_formula(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.json").write_text(json.dumps({"name": "=1+1", "steps": 5}))
-    assert evaluate.main(["--scenario", "a.json", "--episodes", "1", "--jobs", "1", "--out", "out"]) == 0
+    assert evaluation.main(["--scenario", "a.json", "--episodes", "1", "--jobs", "1", "--out", "out"]) == 0
     assert "backstepping,'=1+1,1," in Path("out/results.csv").read_text()
 
 
@@ -234,7 +234,7 @@ def test_no_cell_of_a_spreadsheet_is_a_formula(tmp_path, monkeypatch):
 )
 def test_work_without_bound_is_refused(option, value):
     with pytest.raises(UsageError, match="must be at most"):
-        evaluate.main(["--scenario", "cruise-calm", option, value])
+        evaluation.main(["--scenario", "cruise-calm", option, value])
 
 
 def agent_of(scenarios, expert="backstepping"):
@@ -247,7 +247,7 @@ def test_the_folder_of_a_training_is_a_policy(tmp_path, monkeypatch, capsys):
     """An agent runs where it was not trained too, but not without a word."""
     monkeypatch.chdir(tmp_path)
     agent_of(("slow-calm", "slow-storm")).save("runs/mine/agent")
-    assert evaluate.main(["--policy", "runs/mine", *COMMON]) == 0
+    assert evaluation.main(["--policy", "runs/mine", *COMMON]) == 0
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
     assert rows[0]["steady_rmse_m"] == rows[1]["steady_rmse_m"]

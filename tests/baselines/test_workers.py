@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-import evaluate
+from baselines.evaluation import options as evaluation
 from baselines.tools.command_line import run
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 
@@ -29,6 +29,6 @@ def test_workers_of_a_command_line():
 
 def test_arguments_with_invalid_characters_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
-    assert run(evaluate.main, evaluate.PROGRAM) == 2
+    assert run(evaluation.main, evaluation.PROGRAM) == 2
     message = "evaluate.py: 'a\\udcff' contains characters that cannot be printed; leave them out\n"
     assert capsys.readouterr().err == message

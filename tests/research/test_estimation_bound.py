@@ -27,8 +27,8 @@ from baselines.control.privileged.problem import STEADY_RMSE, Problem
 from baselines.control.privileged.solver import best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.runner import drawn
-from research.lower_bounds.estimation.filter import position_errors
-from research.lower_bounds.estimation.model import EstimationModel, has_bound
+from research.estimation_bound.filter import position_errors
+from research.estimation_bound.model import EstimationModel, has_bound
 
 
 @pytest.mark.parametrize("name", ["slow-noise", "cruise-storm"])

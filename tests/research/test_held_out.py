@@ -7,11 +7,11 @@ import pytest
 
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import failure_bound
-from baselines.evaluation.runner import Task
+from baselines.evaluation.runner import Task, drawn
 from baselines.tools.command_line import UsageError
-from research.results import held_out
 from research.results.learning import context, held_out_results
 from research.seeds import HELD_OUT
+from research.suites import command, held_out
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow  # recorded rows of all policies are read
@@ -29,11 +29,9 @@ def test_upper_bound_is_the_rule_of_three():
 
 
 def test_held_out_episodes_are_in_no_suite():
-    suite, frozen = held_out.held_out("benchmark-v2", 3, ["slow-storm"]), suites.load_suite("benchmark-v1")
-    known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
-    (cell,) = suite.cells
-    assert cell.scenario.name == "slow-storm"
-    assert not known & {episode.noise_seed for episode in cell.episodes}
+    suite, frozen = held_out.held_out("benchmark-v2"), suites.load_suite("benchmark-v1")
+    known, new = ({episode.noise_seed for cell in own.cells for episode in cell.episodes} for own in (frozen, suite))
+    assert not known & new
     assert suite.hash != frozen.hash
     assert HELD_OUT.holds(held_out.HELD_OUT_SEED, max(held_out.HELD_OUT_EPISODES.values()))
 
@@ -42,35 +40,21 @@ def test_held_out_episodes_are_in_no_suite():
 def test_recorded_rows_are_reproduced(results_of_all, policy):
     results = next(r for r in results_of_all if r.suite.name == "benchmark-v2")
     kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
-    (cell,) = held_out.held_out("benchmark-v2", 2, ["cruise-storm"]).cells
+    cell = drawn(kept.scenario, 2, held_out.HELD_OUT_SEED)
     again = Task(policy, cell.scenario, cell.episodes).run()[1].rollout
     np.testing.assert_allclose(again.measures.steady_rmse, kept.measures.steady_rmse[:2], rtol=1e-4)
 
 
-def test_rows_that_the_command_keeps_can_be_loaded(tmp_path, capsys):
-    words = "--suite benchmark-v2 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
-    assert held_out.main([*words.split(), str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "benchmark-v2: open-loop, 2 episodes\n"
-    found = recorded.load_recorded(held_out.held_out("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
-    assert [len(run.measures) for run in found.runs] == [2]
-    assert recorded.load_recorded(held_out.held_out("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--policy", "tea"], "unknown policy 'tea'; allowed are backstepping"),
-        (["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v2, unmodelled-v1"),
-        (
-            ["--case", "slow-tea", "--suite", "benchmark-v2"],
-            "'slow-tea' is no case of benchmark-v2; allowed are slow-calm",
-        ),
-        (["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
-    ],
-)
-def test_wrong_usage(arguments, message):
-    with pytest.raises(UsageError, match=message):
-        held_out.main(arguments)
+def test_the_command_keeps_rows_of_held_out_episodes(tmp_path, monkeypatch):
+    monkeypatch.setattr(held_out, "HELD_OUT_FOLDER", tmp_path)
+    monkeypatch.setattr(held_out, "HELD_OUT_EPISODES", {"benchmark-v2": 2})
+    assert command.main(["record", "benchmark-v2", "--held-out", "--policy", "open-loop"]) == 0
+    suite = held_out.held_out("benchmark-v2")
+    assert [len(run.measures) for run in recorded.load_recorded(suite, tmp_path).runs] == [2] * len(suite.cells)
+    held_out.HELD_OUT_EPISODES["benchmark-v2"] = 3
+    assert recorded.load_recorded(held_out.held_out("benchmark-v2"), tmp_path).refused
+    with pytest.raises(UsageError, match="--held-out is for record of benchmark-v2"):
+        command.main(["record", "ood-v1", "--held-out"])
 
 
 def test_the_sentences_of_the_page_and_of_the_readme_are_true():

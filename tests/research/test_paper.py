@@ -48,7 +48,7 @@ ABSCISSAS = {
     ],
 }
 ROOT = Path(__file__).parents[2]
-NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors", "noise_study")
+NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors")
 
 
 @pytest.fixture(scope="module")

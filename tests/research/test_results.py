@@ -14,7 +14,7 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
 from baselines.evaluation.score import error_cap, has_failed
 from research import pages
-from research.lower_bounds.estimation.command import episode_errors, recorded_bounds
+from research.estimation_bound.command import episode_errors, recorded_bounds
 from research.results import collection, overview
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.transfer.comparison import TRANSFER_FILE

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from functools import cache
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -31,25 +31,7 @@ class NetworkArrays(NamedTuple):
     d_correction: Tensor  # with respect to the correction of a step, shape (OUTPUTS, N)
 
 
-class Pass(Protocol):
-    """Forward and backward pass of a network through a window."""
-
-    d_hidden: Tensor  # derivatives with respect to the hidden state of the current step, shape (memory, N)
-
-    def begin(self) -> None:
-        """Read the current weights."""
-
-    def forward(self, k: int) -> None:
-        """Compute correction and hidden state k + 1 from inputs and hidden state k."""
-
-    def backward(self, k: int) -> None:
-        """Compute the derivatives with respect to the inputs of step k; call it from the last step to the first."""
-
-    def finish(self) -> None:
-        """Set the gradients of the weights, summed over the window."""
-
-
-def pass_of(network: TorchGru | TorchMlp, arrays: NetworkArrays) -> Pass:
+def pass_of(network: TorchGru | TorchMlp, arrays: NetworkArrays) -> GruPass | MlpPass:
     """Return the passes of a network; its weights may change in place between windows."""
     return GruPass(network, arrays) if isinstance(network, TorchGru) else MlpPass(network, arrays)
 
@@ -110,7 +92,7 @@ class Layer:
 
 
 class GruPass:
-    """A `Pass` through a `TorchGru`."""
+    """Forward and backward pass of a `TorchGru` through a window."""
 
     def __init__(self, network: TorchGru, arrays: NetworkArrays) -> None:
         (steps, _, n), sizes = arrays.inputs.shape, network.sizes
@@ -119,7 +101,7 @@ class GruPass:
             for rows in (sizes.encoder, sizes.decoder, 4 * sizes.hidden, 4 * sizes.hidden)
         )
         self._gru, self._units, self._encoded, self._hidden = network.gru, sizes.hidden, encoded, arrays.hidden
-        self.d_hidden = arrays.inputs.new_empty(sizes.hidden, n)
+        self.d_hidden = arrays.inputs.new_empty(sizes.hidden, n)  # derivatives for the state of the current step
         self._d_correction = arrays.d_correction
         self._encoder = Layer(network.encoder, arrays.inputs, encoded, arrays.d_inputs)
         self._decoder = Layer(network.decoder, arrays.hidden[1:], decoded)
@@ -136,7 +118,7 @@ class GruPass:
         )
 
     def begin(self) -> None:
-        """See `Pass`."""
+        """Read the current weights."""
         split = 2 * self._units
         self._of_inputs, of_hidden = self._gru.weight_ih.detach(), self._gru.weight_hh.detach()
         self._of_hidden, self._of_memory = of_hidden[:split], of_hidden[split:]
@@ -146,7 +128,7 @@ class GruPass:
         self.d_hidden.zero_()
 
     def forward(self, k: int) -> None:
-        """See `Pass`."""
+        """Compute correction and hidden state k + 1 from inputs and hidden state k."""
         self._encoder.forward(k)
         x, hidden, following, sums, shared, (r, z, n, m) = self._forward[k]
         torch.addmm(self._bias, self._of_inputs, x, out=sums)
@@ -158,7 +140,7 @@ class GruPass:
         self._head.forward(k)
 
     def backward(self, k: int) -> None:
-        """See `Pass`."""
+        """Compute the derivatives with respect to the inputs of step k; call it from the last step to the first."""
         self._head.backward(k, self._d_correction)
         self._decoder.backward(k, self._head.through(k))
         self.d_hidden.add_(self._decoder.through(k))
@@ -170,7 +152,7 @@ class GruPass:
         self._encoder.through(k)
 
     def finish(self) -> None:
-        """See `Pass`."""
+        """Set the gradients of the weights, summed over the window."""
         for layer in (self._encoder, self._decoder, self._head):
             layer.finish()
         split, before = 3 * self._units, self._hidden[:-1]
@@ -183,7 +165,7 @@ class GruPass:
 
 
 class MlpPass:
-    """A `Pass` through a `TorchMlp`."""
+    """Forward and backward pass of a `TorchMlp` through a window."""
 
     def __init__(self, network: TorchMlp, arrays: NetworkArrays) -> None:
         self._d_correction, (steps, _, n) = arrays.d_correction, arrays.inputs.shape
@@ -196,22 +178,22 @@ class MlpPass:
         ]
 
     def begin(self) -> None:
-        """See `Pass`."""
+        """See `GruPass`."""
 
     def forward(self, k: int) -> None:
-        """See `Pass`."""
+        """See `GruPass`."""
         for layer in self._layers:
             layer.forward(k)
 
     def backward(self, k: int) -> None:
-        """See `Pass`."""
+        """See `GruPass`."""
         d_y = self._d_correction
         for layer in reversed(self._layers):
             layer.backward(k, d_y)
             d_y = layer.through(k)
 
     def finish(self) -> None:
-        """See `Pass`."""
+        """See `GruPass`."""
         for layer in self._layers:
             layer.finish()
 

@@ -68,7 +68,6 @@ def write_page(folder: Path) -> None:
     Raises:
         OSError: a file cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in files().items():
         write_atomically(folder / name, text)
 

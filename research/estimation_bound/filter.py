@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from baselines.control.privileged.problem import STEADY_RMSE
-from research.lower_bounds.estimation.model import GUST_INPUTS, EstimationModel
+from research.estimation_bound.model import GUST_INPUTS, EstimationModel
 
 SAMPLES = 16
 """Random sequences of each episode: the mean of the steady-state errors does not follow from the covariance."""

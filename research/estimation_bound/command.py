@@ -20,8 +20,8 @@ from baselines.evaluation import suites
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
-from research.lower_bounds.estimation.filter import PositionErrors, position_errors
-from research.lower_bounds.estimation.model import EstimationModel, has_bound
+from research.estimation_bound.filter import PositionErrors, position_errors
+from research.estimation_bound.model import EstimationModel, has_bound
 
 PROGRAM = "python -m research estimation-bound"
 _SUITE = "benchmark-v1"  # suite of the episodes
@@ -83,7 +83,6 @@ def main(arguments: Sequence[str]) -> int:
             bound = found[cell.scenario.name] = EstimationBound.of(cell.scenario, cell.episodes[: options.episodes])
             print(f"{cell.scenario.name}: {1e3 * bound.steady_rmse_m:.2f} mm, {bound.episodes} episodes", flush=True)
     record = {"suite": suite.name, "hash": suite.hash, "cases": {name: asdict(bound) for name, bound in found.items()}}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     return DONE
 

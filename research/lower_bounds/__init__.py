@@ -1,1 +1,0 @@
-"""Lower bounds of the error: the full-information optimum and the estimation lower bound."""
