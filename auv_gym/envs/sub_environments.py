@@ -289,19 +289,6 @@ class SubEnvironments:
         self._exogenous.read_into(self.samples, self.all, self.all)
         self.row, self.blocks = -1, self.blocks + 1
 
-    def change(self, episodes: Sequence[Episode]) -> None:
-        """Replace the constants of the running episodes by those of others; the exogenous inputs do not change.
-
-        Raises:
-            ValueError: not N episodes, or one that its scenario cannot have; nothing has changed then.
-        """
-        if len(episodes) != len(self.all):
-            raise ValueError(
-                f"{len(episodes)} episodes are given; there must be one for each of {len(self.all)} sub-environments"
-            )
-        given = zip(self.scenarios, episodes, strict=True)
-        self.constants[:] = np.array([leaves(scenario.parameters(episode)) for scenario, episode in given]).T
-
     def with_preview(self, rows: Array, indices: Indices) -> Array:
         """Return the observations (SIZE, n) of n sub-environments with their previews, a new array (columns, n)."""
         if not self.preview.periods:

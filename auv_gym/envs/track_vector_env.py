@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.sub_environments import ScenarioLike, StartedEpisodes, SubEnvironments
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import Bodies, MadeBodies, Vehicles
 from auv_gym.task.observation import SIZE, decode
@@ -200,27 +198,6 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
             "time": time,
             "_time": valid.copy(),
         }
-
-    def change(self, episodes: Sequence[Episode]) -> None:
-        """Replace the constants of the running episodes, for example to simulate a payload or a broken fin.
-
-        The true vehicles, their actuators and the shear of the current change; a shear with wave number zero is a step
-        of the current. Paths, waves, noise and the other parts of the current do not change. Positions and velocities
-        over ground are continuous, so velocities relative to the water change with the current.
-
-        Args:
-            episodes: one of its scenario for each sub-environment.
-
-        Raises:
-            ValueError: not N episodes, or one that its scenario cannot have; nothing has changed then.
-        """
-        vehicles, current = self._running, self.current
-        self._sub_envs.change(episodes)
-        V_x, V_y = (current - self.current).T
-        psi = vehicles.plant.psi
-        du, dv = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
-        vehicles.now.plant[PLANT.u] += du
-        vehicles.now.plant[PLANT.v] += dv
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]

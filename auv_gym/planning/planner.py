@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, NamedTuple
 
@@ -65,7 +65,7 @@ class Reference:
 
 
 def plan(
-    path: Path | Sequence[Path],
+    path: Path,
     vehicle: Vehicle,
     times: Array,
     force_limits: tuple[float, float] | None = None,
@@ -74,14 +74,14 @@ def plan(
     """Return the reference with which the vehicle follows the path at the given times, by section III of the paper.
 
     Args:
-        path: a path that is three times differentiable in time, or a sequence of N paths.
+        path: a path that is three times differentiable in time.
         vehicle: the vehicle, in still water.
         times: evenly spaced times [s], shape (T,), T >= 2, inside the path's domain.
         force_limits: largest |F_u| [N] and |F_r| [N m]; unchecked if None.
         fin: parameter of the fins [kg], see `actuators.Actuators`; they give |F_r| up to fin u^2 only.
 
     Returns:
-        The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
+        The reference, its fields of shape (T,).
 
     Raises:
         ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan needs
@@ -89,13 +89,7 @@ def plan(
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
-    paths = path if isinstance(path, Sequence) else (path,)
-    planner = Planner(vehicle, _checked_times(times, paths), force_limits, fin)
-    references = [planner.plan(p) for p in paths]
-    if not isinstance(path, Sequence):
-        return references[0]
-    columns = (np.stack([getattr(R, field.name) for R in references], axis=1) for field in fields(Reference)[1:])
-    return Reference(planner.times, *columns)
+    return Planner(vehicle, _checked_times(times, path), force_limits, fin).plan(path)
 
 
 class Planner:
@@ -329,19 +323,17 @@ def _derivatives(path: Path, times: Array) -> Array:
     return np.ascontiguousarray(given.reshape(8, -1))
 
 
-def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
+def _checked_times(times: Array, path: Path) -> Array:
     times = np.asarray(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
         raise ValueError(f"times must be a vector of two or more finite numbers, got {times!r}")
     steps = np.diff(times)
     if steps.min() <= 0 or steps.max() - steps.min() > 1e-6 * steps[0]:
         raise ValueError(f"times must increase in even steps, got steps of {steps.min():.6g} ... {steps.max():.6g} s")
-    for path in paths:
-        if times[0] < path.start or times[-1] > path.end:
-            raise ValueError(
-                f"times {times[0]:.6g} ... {times[-1]:.6g} s leave the path's domain, "
-                f"{path.start:.6g} ... {path.end:.6g} s"
-            )
+    if times[0] < path.start or times[-1] > path.end:
+        raise ValueError(
+            f"times {times[0]:.6g} ... {times[-1]:.6g} s leave the path's domain, {path.start:.6g} ... {path.end:.6g} s"
+        )
     return times
 
 

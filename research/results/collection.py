@@ -13,8 +13,6 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, score, speed_range_of
 from baselines.evaluation.suites import Suite
 
-SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
-"""Suites of the results pages."""
 TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
 """Difference of mean errors [m] by which another policy may be better than the oracle in a case, by suite. If a current
 is nearly as fast as the path, the plan of the oracle relative to the water turns sharply, and a few episodes settle
@@ -80,15 +78,15 @@ def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
     return found
 
 
-def collected(name: str) -> tuple[Results | None, dict[str, str]]:
-    """Return the recorded results of a suite, None without its anchors, and the reasons why rows are not valid."""
+@cache
+def results_of(name: str) -> Results:
+    """Return the recorded results of a suite.
+
+    Raises:
+        ValueError: the rows of its anchors are missing, or of other code than the present one.
+    """
     suite = suites.load_suite(name)
     found = recorded.load_recorded(suite)
-    complete = set(suite.anchors) <= {run_.policy for run_ in found.runs}
-    return Results.of(suite, found.runs) if complete else None, found.refused
-
-
-@cache
-def results_of(name: str) -> Results | None:
-    """Return the recorded results of a suite; None without its anchors."""
-    return collected(name)[0]
+    if missing := sorted({*suite.anchors} - {run.policy for run in found.runs}):
+        raise ValueError(f"{name} has no valid rows of {', '.join(missing)}: python -m research suites record {name}")
+    return Results.of(suite, found.runs)

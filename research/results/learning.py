@@ -24,8 +24,8 @@ from baselines.evaluation.score import (
     score_text,
     seeds_score,
 )
-from research.pages import table
-from research.results.collection import SUITES, Results, results_of
+from research.pages import SUITE_PAGES, table
+from research.results.collection import Results, results_of
 from research.results.study_files import Study, load_studies
 from research.suites import held_out
 
@@ -39,7 +39,7 @@ _HEADS = ("agent", "seeds", "score", "lead", "95 %", "held-out lead", "95 %", "f
 def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
     studies = load_studies()
-    found = {name: results for name in SUITES if (results := results_of(name)) is not None}
+    found = {name: results_of(name) for name in SUITE_PAGES}
     new = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {

@@ -36,7 +36,7 @@ FIGURES = "results-overview.png", "results-disturbances.png", "results-command-r
 
 def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
-    results = _results()
+    results = results_of(_SUITE)
     rows = []
     for name, needs in _POLICIES.items():
         slow, cruise = (_entry(results, name.format(speed_range), speed_range) for speed_range in SPEED_RANGES)
@@ -64,14 +64,8 @@ def context(_: str = "") -> dict[str, Any]:
 def figures(_: str = "") -> dict[str, bytes]:
     """Return the figures as PNG, by name: errors with intervals, errors by disturbance, error against command rate."""
     with styled():
-        drawings = (draw(_results()) for draw in (_errors, _heat_map, _command_rates))
+        drawings = (draw(results_of(_SUITE)) for draw in (_errors, _heat_map, _command_rates))
         return dict(zip(FIGURES, map(to_png, drawings), strict=True))
-
-
-def _results() -> Results:
-    results = results_of(_SUITE)
-    assert results is not None
-    return results
 
 
 def _entry(results: Results, policy: str, speed_range: str) -> Entry:

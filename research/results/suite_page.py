@@ -40,18 +40,14 @@ _DESCRIPTIONS = {
 def context(page: str) -> dict[str, Any]:
     """Return the values of the template of a suite's page."""
     name = page.rpartition("/")[2]
-    results = results_of(name)
-    return {"template": "suite", "name": name, **(_context(results) if results else {"speed_ranges": []})}
+    return {"template": "suite", "name": name, **_context(results_of(name))}
 
 
 def figures(page: str) -> dict[str, bytes]:
     """Return the figure of a suite's page as PNG, by name."""
     name = page.rpartition("/")[2]
-    results = results_of(name)
-    if results is None:
-        return {}
     with styled():
-        return {f"results-{name}.png": to_png(error_figure(results))}
+        return {f"results-{name}.png": to_png(error_figure(results_of(name)))}
 
 
 def _context(results: Results) -> dict[str, Any]:
@@ -101,8 +97,6 @@ def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str
 
 def _bound(results: Results) -> str:
     """Return the paragraph about the full-information optimum and the policies that are better than it."""
-    if OPTIMUM_POLICY not in results.steady_rmses:
-        return f"`{OPTIMUM_POLICY}` is not recorded yet."
     least, most = (1e3 * end(results.steady_rmses[OPTIMUM_POLICY].values()) for end in (min, max))
     beaten = [(c, p) for c, p, gain in better_than(OPTIMUM_POLICY, results) if gain > ROUNDING]
     names = ", ".join(f"`{policy}` in `{case}`" for case, policy in beaten) or "none"

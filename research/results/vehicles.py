@@ -110,7 +110,6 @@ def pairs_of(results: Results, speed_range: str = "") -> dict[str, Pair]:
 def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
     results = results_of(VEHICLES_SUITE)
-    assert results is not None
     pairs = pairs_of(results)
     seeds = seed_rows(pairs[RIVAL].own, load_studies())
     return {
@@ -229,7 +228,6 @@ def better_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
 def figures(_: str = "") -> dict[str, bytes]:
     """Return the figure of the page as PNG, by name."""
     results = results_of(VEHICLES_SUITE)
-    assert results is not None
     with styled():
         return {_FIGURE: to_png(_map(results, vehicles_of(results)))}
 

@@ -218,17 +218,6 @@ def test_mirrored_path_has_the_mirrored_reference(path, mirrored, vehicle):
         np.testing.assert_allclose(getattr(R, name), sign * getattr(M, name) + offset, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("dt", [0.1, 0.2])
-@pytest.mark.parametrize("names", [["circle", "sine", "random_smooth", "sine"], [*PATHS], ["spline"]])
-@VEHICLES
-def test_batch_equals_single_paths(names, vehicle, dt):
-    t, paths = dt * np.arange(100), [PATHS[name] for name in names]
-    batch, alone = plan(paths, vehicle, t), [plan(path, vehicle, t) for path in paths]
-    assert batch.table.shape == (100, 8, len(paths))
-    for name in FIELDS[1:]:
-        np.testing.assert_allclose(getattr(batch, name).T, [getattr(R, name) for R in alone], rtol=0, atol=1e-11)
-
-
 @pytest.mark.skipif(driver() is None, reason="there is no compiler")
 @pytest.mark.parametrize("times", [0.1 * np.arange(150), 2.5 + 0.7 * np.arange(20), np.array([0.0, 0.3])], ids=len)
 @pytest.mark.parametrize("name", PATHS)
@@ -275,7 +264,8 @@ def test_heading_is_continuous_over_laps(path, laps):
 
 def test_assembled_plans_of_several_laps_equal_planned_ones():
     paths, times = [PATHS["fast_circle"], replace(PATHS["fast_circle"], turn_rate=-0.3)], np.linspace(0, 60, 601)
-    R = plan(paths, PAPER_VEHICLE, times)
+    each = [plan(path, PAPER_VEHICLE, times) for path in paths]
+    R = Reference(times, *(np.stack([getattr(r, name) for r in each], axis=1) for name in FIELDS[1:]))
     along = path_rates(np.stack([path.derivatives(times) for path in paths], axis=-1))
     rows = Vehicle.unchecked(Coefficients(*np.repeat(np.array([PAPER_VEHICLE.coefficients]).T, 2, axis=1)))
     found = assemble(times, np.stack((R.x, R.y)), along, np.sin(R.gamma), rows, (0 * R.u, 0 * R.u))
@@ -336,12 +326,11 @@ class Clothoid:
     ],
 )
 def test_infeasible_references_are_refused_with_time_and_place(path, end, condition, time):
-    for paths in (path, [Line(1.0), path]):
-        with pytest.raises(InfeasibleReferenceError, match="infeasible at t") as caught:
-            plan(paths, PAPER_VEHICLE, 0.1 * np.arange(10 * end + 1))
-        assert caught.value.condition.startswith(condition)
-        assert caught.value.time == pytest.approx(time, abs=0.1)
-        assert caught.value.place == tuple(path.derivatives(np.array([caught.value.time]))[0, :, 0])
+    with pytest.raises(InfeasibleReferenceError, match="infeasible at t") as caught:
+        plan(path, PAPER_VEHICLE, 0.1 * np.arange(10 * end + 1))
+    assert caught.value.condition.startswith(condition)
+    assert caught.value.time == pytest.approx(time, abs=0.1)
+    assert caught.value.place == tuple(path.derivatives(np.array([caught.value.time]))[0, :, 0])
 
 
 def test_a_reversal_of_direction_is_refused():
@@ -410,9 +399,8 @@ def test_errors_can_be_pickled():
     ],
 )
 def test_bad_times_are_refused(times, message):
-    for path in (PATHS["spline"], [PATHS["line"], PATHS["spline"]]):
-        with pytest.raises(ValueError, match=message):
-            plan(path, PAPER_VEHICLE, np.array(times))
+    with pytest.raises(ValueError, match=message):
+        plan(PATHS["spline"], PAPER_VEHICLE, np.array(times))
 
 
 def test_a_path_can_be_planned_to_its_end():

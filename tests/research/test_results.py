@@ -15,8 +15,9 @@ from baselines.evaluation import recorded
 from baselines.evaluation.score import error_cap, has_failed
 from research import pages
 from research.estimation_bound.command import episode_errors, recorded_bounds
+from research.pages import SUITE_PAGES
 from research.results import collection, overview
-from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
+from research.results.collection import ROUNDING, TOLERANCE, Results, better_than, results_of
 from research.transfer.comparison import TRANSFER_FILE
 
 pytestmark = pytest.mark.slow  # all recorded rows are read
@@ -28,12 +29,12 @@ WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "
 
 @pytest.fixture(scope="module")
 def suites():
-    return {name: collected(name) for name in SUITES}
+    return {name: results_of(name) for name in SUITE_PAGES}
 
 
 @pytest.fixture(scope="module")
 def benchmark(suites):
-    return suites["benchmark-v2"][0]
+    return suites["benchmark-v2"]
 
 
 def test_every_policy_is_there(benchmark):
@@ -42,14 +43,14 @@ def test_every_policy_is_there(benchmark):
 
 
 def test_the_oracle_has_the_smallest_error(suites):
-    for entry in (entry for entry, _ in suites.values() if entry is not None):
+    for entry in suites.values():
         worst = max((gain for *_, gain in better_than("oracle", entry)), default=0.0)
         assert worst < TOLERANCE[entry.suite.name]
 
 
 def test_no_policy_is_better_than_the_full_information_optimum(suites):
     """In the mean of each case of each suite, within the tolerance of the solver."""
-    for entry in (entry for entry, _ in suites.values() if entry is not None):
+    for entry in suites.values():
         assert "clairvoyant" in entry.policies
         worst = max((gain for *_, gain in better_than("clairvoyant", entry)), default=0.0)
         assert worst < ROUNDING
@@ -143,11 +144,12 @@ def test_a_worse_oracle_is_detected(benchmark):
     assert len({case for case, *_ in better_than("oracle", bad)}) == 16
 
 
-def test_a_suite_without_the_oracle_is_missing(monkeypatch):
+def test_a_suite_without_the_oracle_is_refused(monkeypatch):
     whole = collection.recorded.load_recorded(collection.suites.load_suite("benchmark-v1"))
     few = replace(whole, runs=tuple(run for run in whole.runs if run.policy != "oracle"))
     monkeypatch.setattr(collection.recorded, "load_recorded", lambda _: few)
-    assert collected("benchmark-v1") == (None, {})
+    with pytest.raises(ValueError, match="benchmark-v1 has no valid rows of oracle: python -m research suites record"):
+        results_of("benchmark-v1")
 
 
 def test_the_summary_is_the_mean_of_the_rows():
@@ -180,7 +182,7 @@ def test_a_stale_page_is_named_and_written(tmp_path, capsys):
 
 def test_the_sentences_of_the_summary_are_true():
     """The suites in which `helm` does not lead, and the errors of the table, which are above the lower bounds."""
-    unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v2"))
+    unmodelled, opened, vehicles = (results_of(name) for name in ("unmodelled-v1", "sealed-v1", "vehicles-v2"))
 
     def mean(results, policy, speed_range):
         return np.concatenate([m.steady_rmse for m in results.measures(policy, speed_range)]).mean()

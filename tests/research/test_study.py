@@ -15,7 +15,7 @@ from baselines.tools.command_line import parse, run
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT_FOLDER, PROGRESS
 from research.results import learning
-from research.results.collection import collected
+from research.results.collection import results_of
 from research.results.study_files import InSuite, Study, load_studies, save_study
 from research.trainings import study
 from research.trainings.trainings import FIRST_TRAININGS, request_of, training
@@ -25,8 +25,7 @@ SPEED_RANGE, SUITE = "cruise", "benchmark-v1"
 
 @pytest.fixture(scope="module")
 def results():
-    found, _ = collected(SUITE)
-    return found
+    return results_of(SUITE)
 
 
 def runs_of(results, policy):
@@ -106,7 +105,7 @@ def test_page_has_a_row_for_each_agent(results, made):
 
 def test_failures_added_and_prevented_by_hand():
     """From the files: a failure is an early end, or an error of at least the cap of 2 m."""
-    suite = collected("unmodelled-v1")[0]
+    suite = results_of("unmodelled-v1")
     failed = {}
     for policy in ("backstepping", "apg-cruise"):
         own = [r.measures for r in runs_of(suite, policy)]
@@ -136,7 +135,7 @@ def test_trained_agents_are_run_on_the_cells_of_their_speed_range(tmp_path, monk
     variant = study.Variant("A test.", SPEED_RANGE, training("apg", SPEED_RANGE), (SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)
-    first, _ = collected(SUITE)
+    first = results_of(SUITE)
     for cell, own in zip(few, found.suites[SUITE].steady_rmses, strict=True):
         expert = next(r for r in first.runs if r.policy == EXPERT and r.scenario.name == cell.scenario.name)
         np.testing.assert_allclose(own, np.stack([expert.measures.steady_rmse[:2]] * 2), rtol=1e-5)

@@ -1,0 +1,243 @@
+"""Published vehicles: comparison with their sources, adapted scenarios, and plans."""
+
+import inspect
+import math
+import random
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from matrix_form import matrix_form
+from vehicle_sources import SOURCES
+
+from auv_gym import PRESETS, Scenario, list_vehicles
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.actuators import LEAST_SHARE, Actuators
+from auv_gym.physics.disturbances import RandomCurrent, RandomWaves
+from auv_gym.physics.navigation import RandomReckoning
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import PATHS
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.fitting import adapted, changed, in_vehicle_units
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import RandomPath, Start
+from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, VehicleModel, as_vehicle, vehicle_model, vehicle_names
+from auv_gym.scenarios.vehicles.scaling import SCENARIO_POWERS
+from auv_gym.task.observation import decode_observation
+
+VEHICLE_NAMES = pytest.mark.parametrize("name", vehicle_names())
+
+
+@VEHICLE_NAMES
+def test_numbers_equal_those_of_the_source(name):
+    mine, theirs = vehicle_model(name), SOURCES[name]()
+    have = {**vars(mine.vehicle), **vars(mine.actuators)}
+    assert {key: have[key] for key in theirs} == pytest.approx(theirs, rel=5e-3)
+    assert mine.name == name
+    assert all((mine.about, mine.source, mine.left_out, mine.ours))
+
+
+@VEHICLE_NAMES
+def test_drag_over_thrust_is_at_most_that_of_the_paper(name):
+    """At cruise, so the margin of thrust for a current or model error is at least that of the paper."""
+    mine = vehicle_model(name)
+    share, of_the_paper = (c.drag(c.vehicle.speed)[0] * c.vehicle.speed / c.actuators.F_u_max for c in (mine, PAPER))
+    assert share < 1.01 * of_the_paper
+
+
+@VEHICLE_NAMES
+def test_planned_forces_keep_the_vehicle_on_its_path(name):
+    """In still water, by Runge-Kutta steps of the matrix form about the origin, with the side force of a rudder."""
+    mine = vehicle_model(name)
+    h, turn_rate = 0.02 * mine.vehicle.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.vehicle.time / mine.vehicle.time)
+    path = PATHS["sine"].drawn(mine.vehicle.speed, turn_rate, random.Random(1).random)
+    R = plan(
+        path, mine.vehicle, h / 2 * np.arange(401), (mine.actuators.F_u_max, mine.actuators.F_r_max), mine.actuators.fin
+    )
+    table, v = R.table, mine.vehicle
+
+    def point(state, ahead):
+        x, y, psi, u, sway, r = state
+        return np.array((x + ahead * np.cos(psi), y + ahead * np.sin(psi), psi, u, sway + ahead * r, r))
+
+    def rates(state, k):
+        return matrix_form(state, (R.F_u[k], -R.F_r[k] * v.eps * v.m22 / v.m33, R.F_r[k]), v)
+
+    state = point(table[0, :6], -v.eps)
+
+    for k in range(0, 400, 2):
+        a = rates(state, k)
+        b = rates(state + h / 2 * a, k + 1)
+        c = rates(state + h / 2 * b, k + 1)
+        state = state + h / 6 * (a + 2 * (b + c) + rates(state + h * c, k + 2))
+    assert np.abs(point(state, v.eps)[:2] - table[400, :2]).max() < 1e-6 * v.length
+
+
+@VEHICLE_NAMES
+def test_integration_steps_are_short_enough_in_a_storm(name):
+    """With alternating full commands no speed exceeds the limits of thrust and drag."""
+    mine, env = vehicle_model(name), UnderactuatedAUVTrackEnv(f"cruise-storm@{name}")
+    env.reset(seed=0)
+    rng, limit = np.random.default_rng(0), 3 * mine.actuators.F_u_max
+    for _ in range(40):
+        *_, over, _, _ = env.step(rng.choice([-1.0, 1.0], 2))
+        u, v, r = np.abs(env.state[3:])
+        assert mine.drag(0.5 * u)[0] * u < limit + mine.drag(mine.vehicle.speed)[0] * mine.vehicle.speed
+        assert v < 5 * mine.vehicle.speed
+        assert r * mine.vehicle.length < 5 * mine.vehicle.speed
+        if over:
+            break
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_for_the_vehicle_of_the_paper_a_scenario_does_not_change(name):
+    assert adapted(PAPER, PRESETS[name]) == PRESETS[name]
+
+
+@pytest.mark.parametrize(
+    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+)
+def test_the_vehicle_of_the_paper_in_other_units(sensors):
+    """A vehicle twice as long, three times as slow and five times as heavy has the same dimensionless motion."""
+    L, T, M = 2.0, 3.0, 5.0
+    v, act = PAPER_VEHICLE, PAPER.actuators
+    inertia = {"m11": v.m11 * M, "m22": v.m22 * M, "m33": v.m33 * M * L * L}
+    drag = {"d11": v.d11 * M / T, "d22": v.d22 * M / T, "d33": v.d33 * M * L * L / T}
+    limits = Actuators(act.F_u_max * M * L / T**2, act.F_r_max * M * L**2 / T**2)
+    twin = replace(
+        PAPER,
+        name="twin",
+        vehicle=Vehicle(**inertia, **drag, speed=1.5 * L / T),
+        actuators=limits,
+        turn_rate=0.04,
+        lag=0.6,
+    )
+    storm = replace(PRESETS["cruise-storm"], sensors=replace(PRESETS["cruise-storm"].sensors, **sensors))
+    scenarios = storm, changed(storm, twin)
+    assert scenarios[1].control_dt == pytest.approx(T * storm.control_dt)
+    envs = [UnderactuatedAUVTrackEnv(s) for s in scenarios]
+    for env in envs:
+        env.reset(seed=4)
+    rng = np.random.default_rng(0)
+    units = np.array([L, L, 1, L / T, L / T, 1 / T])
+    for _ in range(150):
+        action = rng.uniform(-1, 1, 2).astype(np.float32)
+        (o, reward, *_), (other, again, *_) = (env.step(action) for env in envs)
+        assert again == pytest.approx(reward, abs=1e-7)
+        np.testing.assert_allclose(envs[1].state / units, envs[0].state, atol=1e-7)
+        one, two = decode_observation(o), decode_observation(other)
+        assert two.F_rR / limits.F_r_max == pytest.approx(one.F_rR / act.F_r_max, abs=1e-7)
+        assert (two.e_x / L, two.v_e * T / L, two.r_e * T) == pytest.approx((one.e_x, one.v_e, one.r_e), abs=1e-7)
+
+
+def test_each_entry_with_a_unit_is_scaled():
+    """The units are in the comments of the fields; relative speeds and forces have none."""
+    powers = {"m": (1, 0), "s": (0, 1), "m/s": (1, -1), "rad/s": (0, -1), "Hz": (0, -1), "1/min": (0, -1)}
+    powers |= {"rad/sqrt(s)": (0, -0.5), "rad": None}
+    classes = {"start": Start, "sensors": Sensors, "reckoning": RandomReckoning}
+    for part, cls in {**classes, "current": RandomCurrent, "waves": RandomWaves}.items():
+        units = dict(re.findall(r"^    (\w+): .*?# \[(.+?)\]", inspect.getsource(cls), re.MULTILINE))
+        found = {name: powers[unit] for name, unit in units.items() if powers[unit]}
+        assert found.items() <= SCENARIO_POWERS[part].items()
+        assert set(SCENARIO_POWERS[part]) <= {field.name for field in fields(cls)}
+    assert "speed" in {field.name for field in fields(RandomPath)}
+
+
+FINNED = replace(PRESETS["cruise-calm"], actuators=Actuators(F_r_max=200.0, fin=100.0, astern=0.25))
+
+
+def test_torque_of_fins_is_quadratic_in_the_speed_and_observed():
+    env = UnderactuatedAUVTrackEnv(FINNED)
+    for u, torque in ((0.0, 0.0), (0.5, 25.0), (-1.0, 100.0), (2.0, 200.0)):
+        o = decode_observation(env.reset(seed=0, options={"initial_velocity": (u, 0.0, 0.0)})[0])
+        assert o.F_r_max == pytest.approx(max(torque, LEAST_SHARE * 200.0))
+        env.step(np.array([-1.0, 0.5], dtype=np.float32))
+        np.testing.assert_allclose(env.force, (-100.0, 0.5 * torque))
+
+
+def test_a_plan_beyond_the_torque_of_fins_is_refused():
+    path, times = PATHS["circle"](0.5, 0.2), 0.1 * np.arange(100)
+    R = plan(path, PAPER_VEHICLE, times)
+    needed = abs(R.F_r[0]) / R.u[0] ** 2
+    plan(path, PAPER_VEHICLE, times, (400.0, 200.0), 1.001 * needed)
+    with pytest.raises(InfeasibleReferenceError, match=r"F_r = .* is beyond its limit of"):
+        plan(path, PAPER_VEHICLE, times, (400.0, 200.0), 0.999 * needed)
+
+
+def test_ships_have_wider_bounds_and_the_same_scales():
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", vehicle="supply")
+    observation, _ = env.reset(seed=0)
+    span = env.unwrapped.scenario.span
+    assert span == 2 ** round(math.log2(span))
+    assert decode_observation(observation).F_u_max == pytest.approx(590000.0)
+    assert env.observation_space.contains(observation)
+    assert env.observation_space.high[0] == 64.0 * span
+    assert env.observation_space.high[3] == 32.0
+
+
+def test_vehicle_by_name_and_file(tmp_path):
+    assert list_vehicles() == ["paper", *vehicle_names()]
+    assert as_vehicle("lauv") == vehicle_model("lauv").vehicle
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'),
+        encoding="utf-8",
+    )
+    mine = changed(PRESETS["cruise-storm"], str(file))
+    assert mine == replace(as_scenario("cruise-storm@lauv"), name="cruise-storm@mine")
+    assert Scenario.from_dict(mine.to_dict()) == mine
+    assert VehicleModel.load(Path(file)).vehicle == vehicle_model("lauv").vehicle
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, cybership2, .*lauv"),
+        ("slow-storm@lauv", "speeds from 0.056 m/s, but the fins of this vehicle need at least 0.25 m/s"),
+        ("storm@lauv", "unknown scenario 'storm@lauv'"),
+    ],
+)
+def test_unknown_vehicles_and_scenarios_are_refused(scenario, message):
+    with pytest.raises(ValueError, match=message):
+        as_scenario(scenario)
+
+
+def test_wrong_file_is_refused(tmp_path):
+    (tmp_path / "wrong.toml").write_text("slowest = 1.0\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
+        changed(PRESETS["cruise-calm"], str(tmp_path / "wrong.toml"))
+
+
+@pytest.mark.parametrize("name", ["lauv", "gunnerus"])
+@pytest.mark.parametrize(
+    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+)
+def test_a_scenario_in_the_units_of_its_vehicle(name, sensors):
+    """The same actions give the same states in lengths and times of the vehicle."""
+    storm = PRESETS["cruise-storm"]
+    there = changed(replace(storm, sensors=replace(storm.sensors, **sensors)), vehicle_model(name))
+    here, units = in_vehicle_units(there), Units.of(vehicle_model(name).vehicle)
+    L, T = units.length, units.time
+    assert Units.of(here.vehicle) == Units()
+    envs = [UnderactuatedAUVTrackEnv(scenario) for scenario in (here, there)]
+    for env in envs:
+        env.reset(seed=4)
+    rng, own = np.random.default_rng(0), np.array([L, L, 1, L / T, L / T, 1 / T])
+    for _ in range(150):
+        action = rng.uniform(-0.3, 0.9, 2).astype(np.float32)
+        rewards = [env.step(action)[1] for env in envs]
+        assert rewards[0] == pytest.approx(rewards[1], abs=1e-6)
+        np.testing.assert_allclose(envs[1].state / own, envs[0].state, atol=1e-6)
+
+
+def test_a_scenario_of_the_vehicle_of_the_paper_does_not_change():
+    for name in ("cruise-storm", "paper-circle"):
+        assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
+    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has a fixed path, .*; give it random paths"):
+        in_vehicle_units(changed(PRESETS["paper-circle"], "lauv"))
