@@ -1,4 +1,4 @@
-"""What the files of the fleet must say, from the raw numbers of their sources, for the tests to check against."""
+"""Entries of the vehicle files, computed from the raw numbers of their sources, for the tests to compare with."""
 
 import math
 
