@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from back_ends import assert_equals_scalars
 
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -108,16 +109,8 @@ def test_a_fault_ends_when_the_next_one_begins():
 
 def test_the_vector_environment_has_the_same_faults():
     scenario = replace(STORM, faults=RandomFaults(FAULTS, rate=10.0))
-    one = UnderactuatedAUVTrackEnv(scenario)
-    many = UnderactuatedAUVTrackVectorEnv(3, scenario)
-    alone, _ = one.reset(seed=7)
-    together, _ = many.reset(seed=[5, 6, 7])
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        np.testing.assert_allclose(together[2], alone, atol=1e-5)
-        action = rng.uniform(-1, 1, 2).astype(np.float32)
-        alone, *_ = one.step(action)
-        together, *_ = many.step(np.tile(action, (3, 1)))
+    scalars = [UnderactuatedAUVTrackEnv(scenario) for _ in range(3)]
+    assert_equals_scalars(UnderactuatedAUVTrackVectorEnv(3, scenario), scalars, 200, scale=1.0)
 
 
 def test_a_scenario_file_can_have_faults():

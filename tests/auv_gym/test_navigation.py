@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from back_ends import assert_equals_scalars
 from window_by_torch import Setting
 
 from auv_gym.envs.torch_sim import TorchSimulator, simulate
@@ -181,18 +182,8 @@ def test_all_back_ends_agree_in_dead_reckoning():
     patchy = dataclasses.replace(PRESETS["cruise-storm"], sensors=Sensors(position=0.1, outages=20.0))
     mixed = [ROUGH, DEEP["cruise-deep-storm"], patchy, PRESETS["cruise-storm"]]
     arrays = gym.make_vec(TRACK, 4, vectorization_mode="vector_entry_point", scenario=mixed)
-    tensors, scalars = (
-        TorchSimulator(4, mixed, dtype="float64", compiled=False),
-        [gym.make(TRACK, scenario=s) for s in mixed],
-    )
-    seen, rng = [arrays.reset(seed=5)[0], tensors.reset(seed=5)[0]], np.random.default_rng(5)
-    alone = np.array([env.reset(seed=5 + i)[0] for i, env in enumerate(scalars)])
-    for _ in range(140):
-        np.testing.assert_allclose(seen[0], alone, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(seen[1], alone, rtol=0, atol=1e-10)
-        actions = rng.uniform(-0.5, 0.5, (4, 2)).astype(np.float32)
-        seen = [env.step(given)[0] for env, given in ((arrays, actions), (tensors, torch.from_numpy(actions)))]
-        alone = np.array([env.step(a)[0] for env, a in zip(scalars, actions, strict=True)])
+    for env in (arrays, TorchSimulator(4, mixed, dtype="float64", compiled=False)):
+        assert_equals_scalars(env, [gym.make(TRACK, scenario=s) for s in mixed], 140, scale=0.5, seed=5)
 
 
 def test_gradients_of_training(monkeypatch):

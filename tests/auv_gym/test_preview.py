@@ -4,6 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from back_ends import assert_equals_scalars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,25 +52,12 @@ def test_preview_is_the_displacement_along_the_path_in_measured_body_axes():
 def test_back_ends_agree_across_autoresets(seed):
     torch.set_num_threads(1)
     options = {"scenario": NOISY, "preview": PERIODS}
-    vector = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 2, vectorization_mode="vector_entry_point", **options)
-    tensors = TorchSimulator(2, dtype="float64", compiled=False, **options)
-    scalars = [gym.make("auv_gym:UnderactuatedAUVTrack-v0", **options) for _ in range(2)]
-    rows, _ = vector.reset(seed=seed)
-    columns, _ = tensors.reset(seed=seed)
-    single = [env.reset(seed=seed + i)[0] for i, env in enumerate(scalars)]
-    rng = np.random.default_rng(seed)
-    for _ in range(NOISY.steps + 3):
-        np.testing.assert_allclose(rows, np.stack(single), atol=1e-12)
-        np.testing.assert_allclose(columns.numpy(), rows, atol=1e-12)
-        actions = rng.uniform(-1, 1, (2, 2)).astype(np.float32)
-        rows, _, _, done, info = vector.step(actions)
-        columns, _, _, _, tensor_info = tensors.step(torch.tensor(actions))
-        results = [env.step(a) for env, a in zip(scalars, actions, strict=True)]
-        single = [result[0] for result in results]
-        if done.any():
-            np.testing.assert_allclose(np.stack(info["final_obs"]), np.stack(single), atol=1e-12)
-            np.testing.assert_allclose(tensor_info["final_obs"].numpy(), np.stack(single), atol=1e-12)
-            single = [env.reset()[0] for env in scalars]
+    for env in (
+        gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 2, "vector_entry_point", **options),
+        TorchSimulator(2, dtype="float64", compiled=False, **options),
+    ):
+        scalars = [gym.make("auv_gym:UnderactuatedAUVTrack-v0", **options) for _ in range(2)]
+        assert assert_equals_scalars(env, scalars, NOISY.steps + 3, scale=1.0, seed=seed) == 2
 
 
 def test_the_terms_do_not_depend_on_the_preview():

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from back_ends import assert_equals_scalars
 from scipy.integrate import solve_ivp
 
 from auv_gym.envs.torch_sim import TorchSimulator
@@ -158,24 +159,14 @@ def test_a_turning_current_turns():
 
 def test_back_ends_agree_with_all_faults():
     torch.set_num_threads(1)
-    n, options = 4, {"scenario": ALL}
-    vector = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", n, vectorization_mode="vector_entry_point", **options)
-    tensors = TorchSimulator(n, dtype="float64", compiled=False, **options)
-    scalars = [UnderactuatedAUVTrackEnv(ALL) for _ in range(n)]
-    rows, _ = vector.reset(seed=7)
-    columns, _ = tensors.reset(seed=7)
-    single = [env.reset(seed=7 + i)[0] for i, env in enumerate(scalars)]
-    for k in range(STEPS + 5):
-        np.testing.assert_allclose(rows, np.stack(single), rtol=0, atol=1e-11)
-        np.testing.assert_allclose(columns.numpy(), rows, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(vector.unwrapped.current, [env.current for env in scalars], atol=1e-12)
-        np.testing.assert_allclose(vector.unwrapped.state, [env.state for env in scalars], atol=1e-11)
-        command = actions(n, k)
-        rows, _, _, truncated, _ = vector.step(command)
-        columns, *_ = tensors.step(torch.tensor(command))
-        single = [env.step(a)[0] for env, a in zip(scalars, command, strict=True)]
-        if truncated.any():
-            single = [env.reset()[0] for env in scalars]
+    vector = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 4, "vector_entry_point", scenario=ALL)
+    tensors = TorchSimulator(4, ALL, dtype="float64", compiled=False)
+    for env, atol in ((vector, 1e-11), (tensors, 1e-9)):
+        scalars = [UnderactuatedAUVTrackEnv(ALL) for _ in range(4)]
+        assert assert_equals_scalars(env, scalars, STEPS + 5, seed=7, atol=atol) == 4
+        if env is vector:
+            np.testing.assert_allclose(vector.unwrapped.current, [each.current for each in scalars], atol=1e-12)
+            np.testing.assert_allclose(vector.unwrapped.state, [each.state for each in scalars], atol=1e-11)
 
 
 def test_faults_change_no_other_draw():

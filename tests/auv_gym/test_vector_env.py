@@ -8,6 +8,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
+from back_ends import assert_equals_scalars
 from gymnasium.error import ResetNeeded
 from marks import slow_except
 
@@ -28,32 +29,6 @@ MIXED = [*SHORT.values(), FILTERED]
 
 def vector(env_id=TRACK, n=3, **options):
     return gym.make_vec(env_id, num_envs=n, vectorization_mode="vector_entry_point", **options)
-
-
-def assert_equals_scalars(env, scalars, steps, *, scale=0.6, seed=10):
-    """Compare both for the same actions, also after autoresets; return the number of ended episodes."""
-    observation, info = env.reset(seed=seed)
-    firsts = [scalar.reset(seed=seed + i) for i, scalar in enumerate(scalars)]
-    np.testing.assert_allclose(observation, [first for first, _ in firsts], rtol=0, atol=1e-12)
-    rng, ends = np.random.default_rng(0), 0
-    for _ in range(steps):
-        actions = rng.uniform(-scale, scale, (len(scalars), 2)).astype(np.float32)
-        observation, reward, terminated, truncated, info = env.step(actions)
-        assert env.observation_space.contains(observation)
-        for i, scalar in enumerate(scalars):
-            last, r, t, u, last_info = scalar.step(actions[i])
-            assert (t, u) == (terminated[i], truncated[i])
-            assert reward[i] == pytest.approx(r, abs=1e-10)
-            if t or u:
-                ends += 1
-                np.testing.assert_allclose(info["final_obs"][i], last, rtol=0, atol=1e-10)
-                for key, value in last_info.items():
-                    assert info["final_info"][key][i] == pytest.approx(value, abs=1e-10)
-                last, last_info = scalar.reset()
-            np.testing.assert_allclose(observation[i], last, rtol=0, atol=1e-10)
-            for key, value in last_info.items():
-                assert info[key][i] == pytest.approx(value, abs=1e-10)
-    return ends
 
 
 def test_equals_scalar_environments_over_every_preset_across_autoresets():
