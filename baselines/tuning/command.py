@@ -61,10 +61,8 @@ class Options:
     """Episodes of each evaluation, a multiple of 16, so that each case has the same number."""
     price: float = 0.0
     """Minimise the error times the mean squared change of the command to this power; 0: the error alone."""
-    resume: bool = False
-    """Start at the tuned gains of the file instead of its initial gains."""
     start: Path | None = None
-    """A file of gains that this command has written; the search starts at them."""
+    """A file of gains; the search starts at its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""
     dry: bool = False
@@ -155,8 +153,8 @@ def _checked(options: Options) -> Budget:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
     if not 0 <= options.price <= 1:
         raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
-    if options.vehicle != PAPER.name and (options.price or options.resume):
-        raise UsageError("--vehicle excludes --price and --resume: a search for a vehicle starts at the shipped gains")
+    if options.vehicle != PAPER.name and options.price:
+        raise UsageError("--vehicle excludes --price")
     budget = Budget(options.evaluations, options.episodes)
     if budget.last_seed > VALIDATION_SEED:
         raise UsageError(
@@ -168,7 +166,7 @@ def _checked(options: Options) -> Budget:
 
 def _start(options: Options, tunable: Tunable, own: VehicleModel) -> GainSet:
     """Return the initial gains of the search for a vehicle in the paper's units."""
-    part = "gains" if options.resume or options.price else "start"
+    part = "gains" if options.price else "start"
     try:
         if options.start is not None:
             start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))

@@ -30,7 +30,6 @@ from baselines.evaluation.rollout import PolicyError, make_env, rollout
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import MOST_PARALLEL, Task, drawn, run_all, runs
 from baselines.tools.command_line import run
-from baselines.tools.files import write_atomically
 from baselines.tools.workers import Workers
 
 SCRIPT = Path(__file__).parents[2] / "evaluate.py"
@@ -405,16 +404,6 @@ def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
     (run,) = run_all((f"{file}:Push",), cells, note=lambda *_: file.write_text(PUSHES.format(0.2)))
     assert (run.measures, run.error) == (None, "its files changed while it ran")
     assert run_all((f"{file}:Push",), cells)[0].error is None
-
-
-def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
-    file = tmp_path / "results.json"
-    write_atomically(file, "old")
-    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
-    with pytest.raises(OSError, match="full"):
-        write_atomically(file, "new")
-    assert file.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_interruption_prints_one_line(monkeypatch, capsys):

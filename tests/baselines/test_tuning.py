@@ -149,7 +149,7 @@ def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monk
     assert record["start"] == pytest.approx(before["start"])
     file.write_text(json.dumps({"start": before["start"], "gains": before["gains"]}))
     capsys.readouterr()
-    assert main([*arguments[:-1], "0", "--resume"]) == DONE
+    assert main([*arguments[:-1], "0", "--start", str(file)]) == DONE
     assert load_gains("integral", "slow", names) == pytest.approx(before["gains"])
     file.unlink()
     with pytest.raises(
@@ -183,7 +183,7 @@ def brief(episodes, policy, run=TuningEpisodes.run):
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
         (["lqi", "--price", "2"], "--price is 2"),
         (["lqi", "--speed-range", "fast"], "speed-range"),
-        (["lqi", "--vehicle", "remus100", "--price", "0.1"], "--vehicle excludes --price and --resume"),
+        (["lqi", "--vehicle", "remus100", "--price", "0.1"], "--vehicle excludes --price"),
         (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
         (["lqi", "--start", "none.json"], "--start none.json has no gains"),
     ],
