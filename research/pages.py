@@ -50,6 +50,11 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
+    "paper": {
+        "numbers": "research.paper.page:numbers_section",
+        "starts": "research.paper.page:starts_section",
+        "remarks": "research.paper.page:remarks_section",
+    },
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
     "export-cost": {
         "agreement": "research.deployment.page:agreement_section",

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.markup import escape
-from rich.table import Table
-
-from baselines.evaluation.report.terminal import LOOK, console
 from baselines.evaluation.request import checked_folder
 from baselines.tools.command_line import DONE, FAILED, parse
 from baselines.tools.files import json_text, write_atomically
 from research.paper.figures import paper_figures
-from research.paper.numbers import Reproduction, Row, reproduce_paper
+from research.paper.numbers import reproduce_paper
+from research.paper.page import numbers_section, remarks_section, starts_section
 
 PROGRAM = "python -m research paper"
 
@@ -38,9 +35,9 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments are invalid.
     """
     folder = checked_folder(parse(Options, arguments, PROGRAM).out)
-    found, out = reproduce_paper(lambda part: print(part, file=sys.stderr)), console()
-    for table in tables(found):
-        out.print(table)
+    found = reproduce_paper(lambda part: print(part, file=sys.stderr))
+    for section in (numbers_section, starts_section, remarks_section):
+        print(f"{section(found)}\n")
     files: dict[str, str | bytes] = {f"{name}.png": png for name, png in paper_figures(found).items()}
     files["paper.json"] = json_text(found.to_dict())
     try:
@@ -51,31 +48,3 @@ def main(arguments: Sequence[str]) -> int:
         return FAILED
     print(f"Wrote {', '.join(sorted(files))} to {folder}")
     return DONE
-
-
-def tables(reproduction: Reproduction) -> list[Table]:
-    """Return the tables: the numbers of the paper, the responses from its starts, its errors."""
-    starts = Table(
-        title="Section V from all eight starts: |x_e| = 0.5 m, |y_e| = 1 m, |psi_e| = 20 deg, at rest", **LOOK
-    )
-    headings = ("signs", "to 5 cm [s]", "to 1 deg [s]", "peak |F_u| [N]", "peak |F_r| [N m]", "error at 100 s [m]")
-    for heading in headings:
-        starts.add_column(escape(heading), justify="right")
-    for s in reproduction.starts:
-        peaks = (f"{s.peak_F_u_N:.1f}", f"{s.peak_F_r_Nm:.1f}")
-        starts.add_row(s.signs, f"{s.settling_5cm_s:.1f}", f"{s.settling_1deg_s:.1f}", *peaks, f"{s.error_100s_m:.1e}")
-    numbers = _row_table("The paper's numbers", reproduction.rows)
-    return [numbers, starts, _row_table("Where the printed equations do not hold", reproduction.remarks)]
-
-
-def _row_table(title: str, rows: Sequence[Row]) -> Table:
-    table = Table(title=title, **LOOK)
-    for name, justify in (("quantity", "left"), ("place", "left"), ("paper", "right"), ("measured", "right")):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for name in ("unit", "agrees", "note"):
-        table.add_column(name)
-    verdicts = {True: "yes", False: "[yellow]no[/yellow]", None: "-"}
-    for row in rows:
-        paper = "-" if row.paper is None else f"{row.paper:.6g}"
-        table.add_row(row.quantity, row.place, paper, f"{row.measured:.6g}", row.unit, verdicts[row.agrees], row.note)
-    return table

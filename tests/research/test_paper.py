@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -174,39 +173,3 @@ def test_first_instability_needs_a_sign_change():
     with pytest.raises(ValueError, match="different signs"):
         first_instability(PAPER_VEHICLE, GAINS["paper"], 0.1, 0.2)
     assert math.isclose(first_instability(PAPER_VEHICLE, GAINS["paper"], 0.4, 0.6), 0.4970, abs_tol=5e-5)
-
-
-def table(names, rows):
-    lines = [names, ["---"] * len(names), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
-def shown(value):
-    return "-" if value is None else f"{value:.4g}"
-
-
-def test_page_about_the_paper_has_the_recomputed_tables(paper):
-    """Each table of the page follows a comment with its name."""
-    page = ROOT / "docs" / "paper.md"
-    found = json.loads((paper / "paper.json").read_text(encoding="utf-8"))
-    verdict = {True: "yes", False: "no", None: "-"}
-    rows = [
-        (r["quantity"], r["place"], shown(r["paper"]), shown(r["measured"]), r["unit"], verdict[r["agrees"]], r["note"])
-        for r in found["rows"]
-    ]
-    starts = [(f"`{s['signs']}`", *(f"{v:.3g}" for v in tuple(s.values())[1:])) for s in found["starts"]]
-    remarks = [
-        (r["place"], r["quantity"], shown(r["paper"]), shown(r["measured"]), r["unit"], r["note"])
-        for r in found["remarks"]
-    ]
-    tables = {
-        "rows": table(("quantity", "place", "printed", "recomputed", "unit", "agrees", "note"), rows),
-        "starts": table(
-            ("signs of x_e, y_e, psi_e", "within 5 cm [s]", "within 1 deg [s]", "peak F_u [N]", "peak F_r [N m]",
-             "error at 100 s [m]"), starts),
-        "remarks": table(("place", "what", "printed", "what holds", "unit", "why"), remarks),
-    }  # fmt: skip
-    for name, made in tables.items():
-        text = page.read_text(encoding="utf-8")
-        written = re.search(rf"<!-- {name} -->(?:\n\n\|.*?(?=\n\n))?", text, re.DOTALL)[0]
-        assert written == f"<!-- {name} -->\n\n{made}"

@@ -17,7 +17,7 @@ from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
 
 _WIDTH = 200  # [characters] width of tables without a terminal
-LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # style of all tables
+_LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
 
 
 def console() -> Console:
@@ -67,7 +67,7 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    table = Table(title=title, caption=f"steady: RMSE after the first third of an episode; score: {SCALE}", **LOOK)
+    table = Table(title=title, caption=f"steady: RMSE after the first third of an episode; score: {SCALE}", **_LOOK)
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
     for column in columns:
