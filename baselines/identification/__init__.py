@@ -1,4 +1,4 @@
-"""From a log to a vehicle: masses, drag, lag and limits with intervals, by the simulator's own derivatives."""
+"""Identification of a vehicle from a log: parameters with confidence intervals, by nonlinear least squares."""
 
 from baselines.identification.fit import Identified, ParameterEstimate, identify
 from baselines.identification.log import Log

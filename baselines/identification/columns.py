@@ -1,15 +1,6 @@
-"""A log's own columns: which of them is which, in which units and axes, as a small TOML file says.
+"""Formats of logs with other columns, units or axes: TOML files with the fields of `Format`.
 
-    about = "what kind of log it is"
-    skip = 1                                    # lines in front of the data; the first of them may name the columns
-    separator = ","                             # "space" for any white space
-    every = 0.5                                 # [s] rows this far apart are kept, commands are averaged between them
-    [columns]
-    t = "time [s]"                              # by name, or by number from 1 on
-    psi = {column = 5, unit = "deg"}
-    rudder = {column = "delta", unit = "deg", scale = -1.0}
-
-Rows in which a column is empty or no number are left out.
+docs/identify.md has an example. Rows in which a column is empty or not a number are omitted.
 """
 
 from __future__ import annotations
@@ -31,7 +22,7 @@ from auv_gym.scenarios.records import from_record, read_table
 from baselines.tools.files import read_bytes
 
 FORMATS_FOLDER = Path(__file__).parent / "formats"
-"""Formats that are known by name, NAME.toml."""
+"""Folder of the included formats, NAME.toml."""
 _DEGREE = math.pi / 180
 UNITS: Mapping[str, Mapping[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
@@ -43,28 +34,28 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "N m": {"N m": 1.0, "kN m": 1e3},
     "1/s": {"1/s": 1.0, "rpm": 1 / 60, "rad/s": 0.5 / math.pi},
 }
-"""By SI unit, the units that a column may have instead, and what they are multiplied by."""
-_KINDS = {
+"""Allowed units of a column and their factors, by SI unit."""
+_QUANTITIES = {
     "t": "s", "x": "m", "y": "m", "latitude": "rad", "longitude": "rad", "psi": "rad", "u": "m/s", "v": "m/s",
     "r": "rad/s", "F_u": "N", "F_r": "N m", "thrust": "N", "revolutions": "1/s", "rudder": "rad", "W_x": "m/s",
     "W_y": "m/s", "wind_speed": "m/s", "wind_from": "rad",
 }  # fmt: skip
-"""What a column may be, with its SI unit."""
-_INPUTS = ("F_u", "F_r", "thrust", "revolutions", "rudder", "W_x", "W_y")  # are averaged between the rows that are kept
+"""Quantities that a column may have, with their SI units."""
+_INPUTS = ("F_u", "F_r", "thrust", "revolutions", "rudder", "W_x", "W_y")  # averaged between the rows that are kept
 _EQUATOR, _FLATTENING = 6378137.0, 1 / 298.257223563  # [m] WGS 84
 
 
 @dataclass(frozen=True)
 class Column:
-    """Where a quantity stands in a log.
+    """The column of a quantity in a log.
 
     Raises:
-        ValueError: the column is no name and no number from 1 on, or the scale is no number.
+        ValueError: the column is neither a name nor a number from 1 on, or the scale is not a number.
     """
 
     column: str | int  # its name, or its number from 1 on
     unit: str = ""  # "" for the SI unit
-    scale: float = 1.0  # what it is multiplied by besides
+    scale: float = 1.0  # additional factor
 
     def __post_init__(self) -> None:
         if isinstance(self.column, bool) or not (isinstance(self.column, str) or 1 <= self.column <= 10_000):
@@ -74,18 +65,18 @@ class Column:
 
 @dataclass(frozen=True)
 class Format:
-    """How a log is written.
+    """The format of a log.
 
     Raises:
-        ValueError: an entry is not one of those that are allowed, or a column is none that a log has.
+        ValueError: an entry is not allowed, or a quantity or unit of a column is unknown.
     """
 
-    columns: Mapping[str, Any]  # by what they are, see `Column`
+    columns: Mapping[str, Any]  # by quantity, see `Column`
     about: str = ""
-    skip: int = 1  # lines in front of the data; names of columns stand in the first one
+    skip: int = 1  # lines before the data; the first one has the names of the columns
     separator: str = ","  # "space" for any white space
     encoding: str = "utf-8-sig"
-    every: float = 0.0  # [s] rows this far apart are kept; 0: all
+    every: float = 0.0  # [s] time between the rows that are kept; 0: all rows
     velocity: str = "body"  # axes of u and v: "body", or "world" for those of x and y
     axes: str = "NED"  # x north, y east, psi clockwise; "ENU": x east, y north, psi anticlockwise from east
 
@@ -98,19 +89,19 @@ class Format:
         if self.separator != "space" and not (isinstance(self.separator, str) and len(self.separator) == 1):
             raise ValueError(f"format separator is {self.separator!r}; it must be one character, or 'space'")
         check_number("format every", self.every, 0, 1e4)
-        if unknown := [name for name in self.columns if name not in _KINDS]:
-            raise ValueError(f"format has a column {unknown[0]!r}; allowed are {', '.join(_KINDS)}")
+        if unknown := [name for name in self.columns if name not in _QUANTITIES]:
+            raise ValueError(f"format has a column {unknown[0]!r}; allowed are {', '.join(_QUANTITIES)}")
         for name, given in self.columns.items():
-            units = UNITS[_KINDS[name]]
+            units = UNITS[_QUANTITIES[name]]
             if (unit := _column(given).unit) and unit not in units:
                 raise ValueError(f"{name} is in {unit!r}; allowed are {', '.join(units)}")
 
     @classmethod
     def named(cls, name: str) -> Format:
-        """Return a format that is known by name, or that of a .toml file.
+        """Return an included format by name, or the format of a .toml file.
 
         Raises:
-            ValueError: there is no such format, or its file is wrong.
+            ValueError: there is no such format, or its file is invalid.
             OSError: the file cannot be read.
         """
         known = sorted(file.stem for file in FORMATS_FOLDER.glob("*.toml"))
@@ -120,11 +111,11 @@ class Format:
         return from_record(cls, read_table(file), f"format {name}", {"columns": dict})
 
     def read(self, file: str | Path) -> dict[str, Array]:
-        """Return the columns of a log by what they are, in SI units, axes NED and body velocities, shape (T,) each.
+        """Return the columns of a log by quantity, in SI units, axes NED and body velocities, shape (T,) each.
 
         Raises:
-            ValueError: the file is no table, or lacks a column.
-            OSError: it cannot be read.
+            ValueError: the file is not text, or a column is missing.
+            OSError: the file cannot be read.
         """
         try:
             lines = read_bytes(Path(file)).decode(self.encoding).splitlines()
@@ -134,11 +125,11 @@ class Format:
         places = [self._place(name, [h.strip() for h in heads[0]] if heads else []) for name in self.columns]
         table = np.array([[_number(row, place) for place in places] for row in rows]).reshape(-1, len(places))
         table = table[np.isfinite(table).all(axis=1)]
-        found = {}
+        columns = {}
         for (name, given), values in zip(self.columns.items(), table.T, strict=True):
-            column = _column(given)
-            found[name] = values * (UNITS[_KINDS[name]][column.unit or _KINDS[name]] * column.scale)
-        return _thinned(_in_usual_axes(found, self), self.every)
+            column, unit = _column(given), _QUANTITIES[name]
+            columns[name] = values * (UNITS[unit][column.unit or unit] * column.scale)
+        return _thinned(_in_standard_axes(columns, self), self.every)
 
     def _split(self, lines: Sequence[str]) -> list[list[str]]:
         if self.separator == "space":
@@ -166,8 +157,8 @@ def _number(row: Sequence[str], place: int) -> float:
         return math.nan
 
 
-def _in_usual_axes(columns: dict[str, Array], form: Format) -> dict[str, Array]:
-    """Return columns with places on a plane, winds as vectors, axes NED and velocities in the body frame."""
+def _in_standard_axes(columns: dict[str, Array], form: Format) -> dict[str, Array]:
+    """Return columns with positions on a plane, wind vectors, axes NED and velocities in the body frame."""
     found = dict(columns)
     if "wind_speed" in found and "wind_from" in found:
         speed, angle = found.pop("wind_speed"), found.pop("wind_from")
@@ -189,17 +180,17 @@ def _in_usual_axes(columns: dict[str, Array], form: Format) -> dict[str, Array]:
 
 
 def _on_plane(latitude: Array, longitude: Array) -> tuple[Array, Array]:
-    """Return metres north and east of the first place, by the radii of curvature of the ellipsoid there."""
+    """Return the distances [m] north and east of the first position, by the radii of curvature of the ellipsoid."""
     if not len(latitude):
         return latitude, longitude
-    squared = _FLATTENING * (2 - _FLATTENING)  # of the eccentricity
+    squared = _FLATTENING * (2 - _FLATTENING)  # squared eccentricity
     root = math.sqrt(1 - squared * math.sin(latitude[0]) ** 2)
     north, east = _EQUATOR * (1 - squared) / root**3, _EQUATOR / root * math.cos(latitude[0])
     return north * (latitude - latitude[0]), east * (longitude - longitude[0])
 
 
 def _thinned(columns: dict[str, Array], every: float) -> dict[str, Array]:
-    """Return rows that are about `every` [s] apart; commands and wind are means until the next one."""
+    """Return rows about `every` [s] apart; commands and wind are averaged until the next row."""
     if every == 0 or "t" not in columns or len(columns["t"]) < 2:
         return columns
     t = columns["t"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
+import tomli_w
 from tyro.conf import Positional, arg
 
 from auv_gym.physics.actuators import Actuators
@@ -15,12 +15,11 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.identification import Identified, Log, identify
-from baselines.identification.begin import is_current
 from baselines.identification.columns import Format
-from baselines.identification.files import scenario_text, vehicle_text
+from baselines.identification.files import scenario, vehicle_text
 from baselines.identification.held_out import drawing, held_out, section
 from baselines.identification.log import joined
-from baselines.identification.model import LogModel
+from baselines.identification.model import is_current, names_of
 from baselines.identification.report import MISFIT, report_files, rows
 from baselines.identification.trials import EXAMPLE_CURRENT, example
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
@@ -30,7 +29,7 @@ from baselines.tools.files import write_atomically
 PROGRAM = "auv-gym identify"
 EXAMPLE_LAG = 0.4  # [s]
 EXAMPLE = Actuators(lag=EXAMPLE_LAG)
-"""Actuators of the vehicle in an example."""
+"""Actuators of the vehicle in the example."""
 
 _LARGEST_ENSEMBLE = 1000  # vehicles in a scenario
 
@@ -40,10 +39,10 @@ class Options:
     """Fit a vehicle to logs of trials; write vehicle.toml, scenario.toml and report.md with figures.
 
     A log is a CSV file with the columns t [s], x, y [m], psi [rad], u, v [m/s] in the body frame, r [rad/s], and
-    commands that hold from a row to the next: F_u [N], F_r [N m], or thrust [N], rudder [rad], or revolutions [1/s],
-    rudder [rad]. Logs of another form: see --format.
+    commands that hold until the next row: F_u [N], F_r [N m], or thrust [N], rudder [rad], or revolutions [1/s],
+    rudder [rad]. For logs with other columns see --format.
 
-    Exit status: 0 done, 1 the logs do not show a whole vehicle, 2 wrong usage.
+    Exit status: 0 done, 1 the logs do not show all parameters of a vehicle, 2 wrong usage.
 
     Example: auv-gym identify log.csv --terms X_uu --holdout new.csv --out vehicle
     """
@@ -51,39 +50,39 @@ class Options:
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [LOG ...]")]
     """The logs, of one vehicle."""
     holdout: Annotated[tuple[Path, ...], arg(metavar="LOG [LOG ...]", help_behavior_hint="")] = ()
-    """Logs that nothing is fitted to: predictions of them are compared with what was measured."""
+    """Held-out logs, which are predicted by the fitted vehicle; the report compares predictions and measurements."""
     format: Annotated[str | None, arg(metavar="FORMAT", help_behavior_hint="")] = None
-    """Which columns are what, in which units: the name of a known format, or a TOML file."""
+    """Columns, units and axes of the logs: the name of an included format, or a TOML file."""
     known: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [NAME=VALUE ...]", help_behavior_hint="")] = ()
-    """Parameters that are known and not searched for."""
+    """Values of known parameters, which are not fitted."""
     still_water: bool = False
     """There is no current."""
     example: bool = False
-    """Write an example to LOG instead: a simulated trial of a minute, with noise and current."""
+    """Write an example to LOG instead: a simulated trial of one minute with noise and current."""
     seed: int = 0
-    """Of an example's noise."""
+    """Seed of the noise of the example."""
     terms: Annotated[tuple[str, ...], arg(metavar="T [T ...]", help_behavior_hint="")] = ()
-    """Terms beyond masses and linear drag that may differ from 0; each is dropped where the logs do not tell it
-    from 0. Default: all; cross-flow, in logs of forces, only where the model explains the log no better without it."""
+    """Terms beyond masses and linear drag that may differ from 0; those that do not differ significantly are dropped.
+    Default: all; in logs of forces, cross-flow only if the model does not explain the log without it."""
     through_water: bool = False
-    """The speeds u, v are those through the water, not over ground."""
+    """The speeds u, v are measured through the water, not over ground."""
     segment: float = 0.0
-    """Length [s] of the pieces that are predicted from a first state. Default: by the vehicle's time constants; in
-    logs of a rudder 60 s."""
+    """Length [s] of the segments, each of which is predicted from its initial state. Default: by the vehicle's time
+    constants; in logs of a rudder 60 s."""
     like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
-    """A vehicle by name or file, to take what the log does not show from."""
+    """Name or file of a vehicle that supplies the parameters that are not identified."""
     ensemble: int = 0
-    """Number of vehicles that the log allows, drawn from the fit: the true vehicle of each episode of scenario.toml is
-    one of them. Default: the fitted vehicle alone."""
+    """Number of vehicles that are drawn from the distribution of the fit; one of them is the true vehicle of each
+    episode of scenario.toml. Default: the fitted vehicle alone."""
     out: Path = Path("runs/identify")
     """Folder for the results."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit as the arguments say and return the exit status.
+    """Run the command with its arguments and return the exit status.
 
     Raises:
-        UsageError: the arguments or the log do not make sense.
+        UsageError: the arguments or the log are invalid.
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)
@@ -99,7 +98,7 @@ def main(arguments: Sequence[str]) -> int:
         )
         known = _known(options.known)
         if options.still_water:
-            known |= {name: 0.0 for name in LogModel(log, np.array(log.starts)).names if is_current(name)}
+            known |= {name: 0.0 for name in names_of(log) if is_current(name)}
         found = identify(log, options.terms or None, not options.through_water, options.segment, known)
         result = held_out(found, others[0]) if others else None
     except ValueError as error:
@@ -110,16 +109,19 @@ def main(arguments: Sequence[str]) -> int:
     for row in rows(found):
         print("  ".join(row))
     options.out.mkdir(parents=True, exist_ok=True)
-    vehicle, says = _vehicle(found, like)
-    actuators = None if options.like is None else _actuators(options.like)
-    files = report_files(found, name, says)
+    vehicle, note = _vehicle(found, like)
+    actuators = None
+    if options.like is not None:
+        model = as_vehicle_model(options.like)
+        actuators = model.actuators if model else Actuators()
+    files = report_files(found, name, note)
     try:
         if vehicle is not None:
             files["vehicle.toml"] = vehicle_text(found, vehicle, name, actuators)
             several = found.ensemble(options.ensemble, like) if options.ensemble else []
-            files["scenario.toml"] = scenario_text(found, vehicle, actuators, several)
+            files["scenario.toml"] = tomli_w.dumps(scenario(found, vehicle, actuators, several).to_dict())
     except ValueError as error:
-        says = f"no {'scenario' if 'vehicle.toml' in files else 'vehicle'}.toml: {error}"
+        note = f"no {'scenario' if 'vehicle.toml' in files else 'vehicle'}.toml: {error}"
     if result is not None:
         names = ", ".join(file.name for file in options.holdout)
         files["report.md"] = f"{files['report.md']!s}\n{section(result, names)}\n"
@@ -130,31 +132,25 @@ def main(arguments: Sequence[str]) -> int:
         write_atomically(options.out / file, content)
     written = [file for file in files if not file.endswith(".png")]
     print(f"written: {', '.join(str(options.out / file) for file in written)}")
-    if says:
-        print(says)
+    if note:
+        print(note)
     return DONE if "vehicle.toml" in written else FAILED
 
 
 def _known(given: Sequence[str]) -> dict[str, float]:
-    """Return parameters by name.
+    """Return the values of --known by name.
 
     Raises:
-        UsageError: one of them is not given as NAME=VALUE.
+        UsageError: one of them is not NAME=VALUE.
     """
-    found = {}
+    known = {}
     for text in given:
         name, _, value = text.partition("=")
         try:
-            found[name] = float(value)
+            known[name] = float(value)
         except ValueError:
             raise UsageError(f"--known {text} must be NAME=VALUE, such as m11=250") from None
-    return found
-
-
-def _actuators(like: str) -> Actuators:
-    """Return the actuators of a vehicle by name or file."""
-    vehicle_model = as_vehicle_model(like)
-    return Actuators() if vehicle_model is None else vehicle_model.actuators
+    return known
 
 
 def _written_example(options: Options) -> int:
@@ -167,12 +163,12 @@ def _written_example(options: Options) -> int:
         raise UsageError(f"--example writes one log, not {len(options.logs)}")
     example(PAPER_VEHICLE, EXAMPLE, sensors, options.seed).save(file)
     V_x, V_y = EXAMPLE_CURRENT
-    print(f"written: {file}, a minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")
+    print(f"written: {file}, one minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")
     return DONE
 
 
 def _vehicle(found: Identified, like: Vehicle | None) -> tuple[Vehicle | None, str]:
-    """Return the vehicle, and what is to be said about it: why there is none, or what is not from the log."""
+    """Return the vehicle and a note: why there is no vehicle, or which parameters are not from the log."""
     try:
         vehicle = found.vehicle(like)
     except ValueError as error:

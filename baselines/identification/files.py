@@ -1,4 +1,4 @@
-"""An identified vehicle as files: its parameters, and a scenario that evaluations and trainings take."""
+"""The file of an identified vehicle, vehicle.toml, and its scenario."""
 
 from __future__ import annotations
 
@@ -11,47 +11,45 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.sensors import Sensors
-from auv_gym.physics.steering import Stern, stern_load, thrust
+from auv_gym.physics.steering import Stern
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.physics.wind import WindDrag
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.identification import Identified, ParameterEstimate
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import AHEAD, COEFFICIENTS, CURRENT_NAMES, LIMIT_NAMES, STERN_NAMES
+from baselines.identification.model import AHEAD, COEFFICIENTS, CURRENT_NAMES, LIMIT_NAMES, STERN_NAMES, load_of
 
-_TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
+_TURN = 0.3  # turn rate of the scenario's paths, as a share of the root mean square yaw rate of the log
 
 
 @cache
 def meanings() -> dict[str, tuple[str, str]]:
-    """Return unit and meaning of each parameter that is fitted; those of the vehicle stand beside its fields."""
-    found = {
-        m[1]: (m[2], m[3])
-        for m in re.finditer(r"^    (\w+): float.*?# \[(.*?)\] (.*)$", inspect.getsource(Vehicle), re.MULTILINE)
-    }
-    for parts in (Stern, WindDrag):
-        of = re.finditer(r"^    (\w+): Number  # \[(.*?)\] (.*)$", inspect.getsource(parts), re.MULTILINE)
-        found |= {m[1]: (m[2], m[3]) for m in of}
+    """Return unit and meaning of each parameter, by the comments beside the fields of the classes."""
+    found: dict[str, tuple[str, str]] = {}
+    for parts in (Vehicle, Stern, WindDrag):
+        matches = re.finditer(
+            r"^    (\w+): (?:float|Number).*?# \[(.*?)\] (.*)$", inspect.getsource(parts), re.MULTILINE
+        )
+        found |= {m[1]: (m[2], m[3]) for m in matches}
     found |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMIT_NAMES}
-    found |= dict.fromkeys(CURRENT_NAMES, ("m/s", "current while the log was taken"))
-    found[AHEAD] = "m", "how far the origin of the equations lies ahead of the point that the log measures"
+    found |= dict.fromkeys(CURRENT_NAMES, ("m/s", "current during the log"))
+    found[AHEAD] = "m", "distance of the origin of the equations ahead of the measured point"
     return found | {"lag": ("s", "time constant of both actuators")}
 
 
 def number(value: float) -> str:
-    """Return a number with five digits."""
+    """Return a number with five digits as text, "-" if it is not finite."""
     return f"{value:.5g}" if math.isfinite(value) else "-"
 
 
 def interval(estimate: ParameterEstimate) -> str:
-    """Return an interval, with words for an end that is open."""
+    """Return the interval of an estimate as text."""
     if estimate.verdict == UNKNOWN:
         return "-"
     if math.isinf(estimate.high):
@@ -60,16 +58,16 @@ def interval(estimate: ParameterEstimate) -> str:
 
 
 def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators | None = None) -> str:
-    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.VehicleModel`, with intervals as comments.
+    """Return vehicle.toml, the file of a `auv_gym.scenarios.vehicles.VehicleModel`, with intervals as comments.
 
     Args:
-        found: the fit.
-        vehicle: that was fitted.
+        found: the result of the identification.
+        vehicle: the fitted vehicle.
         log: name of the log.
-        like: actuators to take limits from that the log does not show.
+        like: actuators whose limits replace those that were never commanded.
 
     Raises:
-        ValueError: an actuator was never commanded, and no other is given.
+        ValueError: an actuator was never commanded, and `like` is None.
     """
     missing = ", ".join(found.unknown) or "nothing"
     kind = found.model.log.kind
@@ -86,49 +84,45 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
     lines.append("\n[vehicle]")
     for name in COEFFICIENTS:
         estimate, value = found[name], getattr(vehicle, name)
-        known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
+        note = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:
-            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {known}")
+            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {note}")
     if vehicle.eps:
         lines.append(f"eps = {float(f'{vehicle.eps:.6g}')!r}  # [m] m33 / (m22 arm)")
     lines.append(f"speed = {vehicle.speed:.6g}  # [m/s]")
     lines.append("\n[actuators]")
     peaks = np.abs(found.model.log.commands).max(axis=0).tolist()
     for name, limit, peak in zip(LIMIT_NAMES, _limits(found, like), peaks, strict=True):
-        known = interval(found[name]) if kind == "force" else "the largest of the log"
-        known = known if peak else "not from the log"
-        lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {known}")
+        note = interval(found[name]) if kind == "force" else "the largest of the log"
+        lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {note if peak else 'not from the log'}")
     if kind != "force":
-        mark = "" if kind == "revolutions" else "# "  # without a propeller curve it is no shaft
+        mark = "" if kind == "revolutions" else "# "  # a shaft needs a propeller curve
         lines.append(f"\n{mark}[shaft]")
         most = zip(("n_max", "angle_max"), peaks, ("1/s", "rad"), strict=True)
         lines += [f"{mark}{name} = {peak:.6g}  # [{unit}] the largest of the log" for name, peak, unit in most if peak]
-        own = [found[name] for name in STERN_NAMES[kind]]
-        lines += [f"{mark}{e.name} = {e.value:.6g}  # [{meanings()[e.name][0]}] {interval(e)}" for e in own]
+        estimates = [found[name] for name in STERN_NAMES[kind]]
+        lines += [f"{mark}{e.name} = {e.value:.6g}  # [{meanings()[e.name][0]}] {interval(e)}" for e in estimates]
     return "\n".join(lines) + "\n"
 
 
 def _quoted(text: str) -> str:
-    """Return a text as a string of TOML."""
+    """Return a text as a TOML string."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def _limits(found: Identified, like: Actuators | None = None) -> tuple[float, float]:
-    """Return the limits [N], [N m] that were found, or the largest commands where none was reached.
+    """Return the identified limits [N], [N m], or the largest commands if a limit was not reached.
 
     Raises:
-        ValueError: one of them was never commanded, and no other actuators are given.
+        ValueError: an actuator was never commanded, and `like` is None.
     """
     log = found.model.log
     if log.kind == "force":
         peaks = np.abs(log.commands).max(axis=0).tolist()
         F_u, F_r = (min(found[name].value, peak) for name, peak in zip(LIMIT_NAMES, peaks, strict=True))
     else:
-        stern = Stern(*(dict(zip(found.model.names, found.values, strict=True)).get(n, 0.0) for n in Stern._fields))
-        one, angle = log.commands.T
-        u, v, r = log.measured[:, 3:].T
-        T = thrust(one, u, stern) if log.kind == "revolutions" else one
-        X, _, N = stern_load(T, angle, u, v, r, stern, ARRAYS)
+        values = dict(zip(found.model.names, found.values, strict=True))
+        X, _, N = load_of(log.kind, log.commands.T, tuple(log.measured.T), values, ARRAYS)
         F_u, F_r = float(np.abs(X).max()), float(np.abs(N).max())
     for name, limit in zip(LIMIT_NAMES, (F_u, F_r), strict=True):
         if limit == 0 and like is None:
@@ -139,17 +133,20 @@ def _limits(found: Identified, like: Actuators | None = None) -> tuple[float, fl
 def scenario(
     found: Identified, vehicle: Vehicle, like: Actuators | None = None, ensemble: Sequence[Vehicle] = ()
 ) -> Scenario:
-    """Return a scenario with the vehicle, its actuators and its sensors, at speeds and turns like those of the log.
+    """Return a scenario with the vehicle, its actuators and sensors, and paths with the speeds and turns of the log.
 
-    With an ensemble the true vehicle of each episode is one of it.
+    Args:
+        found: the result of the identification.
+        vehicle: the fitted vehicle.
+        like: actuators whose limits replace those that were never commanded.
+        ensemble: vehicles from which the true vehicle of each episode is drawn; empty: always the fitted one.
 
     Raises:
-        ValueError: a limit or a speed is outside of what scenarios have, or a limit is not known.
+        ValueError: a limit or a speed is outside the range of scenarios, or a limit is not known.
     """
-    log = found.model.log
     F_u_max, F_r_max = _limits(found, like)
     speed = vehicle.speed
-    turn = _TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
+    turn = _TURN * float(np.sqrt(np.mean(found.model.log.measured[:, 5] ** 2)))
     x, y, psi, u, v, r = found.noise.tolist()
     parts: dict[str, Any] = {
         "name": "identified",
@@ -159,15 +156,8 @@ def scenario(
         "sensors": Sensors(max(x, y), psi, max(u, v), r),
         "steps": 600,
     }
-    rows = tuple(own.all_coefficients for own in (ensemble or (vehicle,)))
+    rows = tuple(one.all_coefficients for one in (ensemble or (vehicle,)))
     rate = max(float(fastest_rate(row, (F_u_max, 0.0, F_r_max))) for row in rows)
     if ensemble:
         parts["mismatch"] = RandomMismatch(vehicles=rows)
     return Scenario(**parts, substeps=max(1, math.ceil(Scenario.control_dt * rate / MAX_STIFFNESS)))
-
-
-def scenario_text(
-    found: Identified, vehicle: Vehicle, like: Actuators | None = None, ensemble: Sequence[Vehicle] = ()
-) -> str:
-    """Return scenario.toml; raises as `scenario`."""
-    return tomli_w.dumps(scenario(found, vehicle, like, ensemble).to_dict())

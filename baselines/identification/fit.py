@@ -1,4 +1,4 @@
-"""From a log to a vehicle: which parameters it shows, their values and how well they are known."""
+"""Identification of a vehicle from a log: the fit, the choice of the parameters, estimates with intervals."""
 
 from __future__ import annotations
 
@@ -12,154 +12,152 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import SIGNED_PARAMETERS, Vehicle
-from baselines.identification.begin import (
+from baselines.identification.initial_values import (
+    DEFAULT_TERMS,
     EVIDENCE,
-    FAILED_START,
     FIRST_SEGMENT,
     NEEDED,
+    NO_INITIAL_VALUES,
     OPTIONAL,
-    PLAIN_TERMS,
     check_segment,
-    first_estimates,
-    is_current,
-    power_forms,
+    initial_values,
     segment_length,
     segment_starts,
     substeps_for,
 )
-from baselines.identification.least_squares import Left, first_states, fit
+from baselines.identification.least_squares import InitialValues, Residuals, fit, measured_states
 from baselines.identification.log import Log, unwrapped
-from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, LIMIT_NAMES, LogModel, parameter_names
-from baselines.identification.start import Begin
-from baselines.identification.stern_start import NOT_NEGATIVE_STERN
-from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise, whiteness
+from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, LIMIT_NAMES, LogModel, is_current, names_of
+from baselines.identification.shaft_initial_values import NOT_NEGATIVE_STERN
+from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, estimated_noise, rough_noise, whiteness
 
-IDENTIFIED = "identified"  # what a log says of a parameter, as are the next five: its interval is narrow enough
-FITTED = "fitted"  # the same where the model does not explain the log: the interval is not valid
-ZERO = "not significantly different from 0, taken as 0"  # its interval holds zero
-SMALL = "not significantly different from 0, kept small"  # the same, where a prior keeps it small instead
-UNREACHED = "not reached"  # a limit that no command came up to
-UNKNOWN = "not identified"  # nothing in the log depends on it enough
-KNOWN = "given"  # it was not searched for
-LEFT_OUT = "left out"  # a term that was not asked for
+# Verdicts on parameters:
+IDENTIFIED = "identified"  # it has a value with an interval
+FITTED = "fitted"  # the same with a model misfit: the interval is not valid
+ZERO = "not significantly different from 0, taken as 0"  # it is dropped
+SMALL = "not significantly different from 0, kept small"  # the same, with a prior instead of dropping it
+UNREACHED = "not reached"  # a limit above all commands
+UNKNOWN = "not identified"  # the log has too little information on it
+KNOWN = "given"  # its value was given
+LEFT_OUT = "left out"  # an optional term that was not requested
 KEPT = (*NEEDED, "T_nn", "side")
-"""Parameters that are there however uncertain they are."""
+"""Names of the parameters that are never dropped."""
 NOT_NEGATIVE = frozenset((*COEFFICIENTS, *LIMIT_NAMES, *NOT_NEGATIVE_STERN, "lag")) - set(SIGNED_PARAMETERS)
-"""Parameters that are magnitudes."""
+"""Names of the parameters that cannot be negative."""
 
-LONGER = 4  # times the rows of the segments of the fit before
-DOUBT = 1e-4  # `Identified.whiteness` below which the model does not explain the log
+LONGER = 4  # factor on the length of segments from fit to fit
+SIGNIFICANCE = 1e-4  # `Identified.whiteness` below which there is a model misfit
 FEWEST_BEYOND = 3  # commands beyond a limit without which it is not identified
-WORSE = 1.5  # squared errors, as a multiple of those of shorter segments, at which segments are too long
+WORSE = 1.5  # factor on the mean squared error from which longer segments are rejected
 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """What a log says about a parameter."""
+    """The estimate of a parameter."""
 
     name: str
-    value: float  # what the fit takes; nan where it is not identified, inf for a limit that was not reached
-    low: float  # 95 % interval
+    value: float  # nan if it is not identified, inf for a limit that was not reached
+    low: float  # 95 % confidence interval
     high: float
     verdict: str  # IDENTIFIED, FITTED, ZERO, SMALL, UNREACHED, UNKNOWN, KNOWN or LEFT_OUT
 
 
 @dataclass(frozen=True)
 class Identified:
-    """The vehicle in a log."""
+    """A vehicle model that is fitted to a log."""
 
     model: LogModel
-    estimates: tuple[ParameterEstimate, ...]  # of all of `LogModel.names`
-    values: Array  # what was fitted, shape (P,)
-    free: tuple[str, ...]  # the parameters whose values the last fit has chosen
-    covariance: Array  # of these, shape (F, F)
+    estimates: tuple[ParameterEstimate, ...]  # of all parameters `LogModel.names`
+    values: Array  # fitted values of all parameters, shape (P,)
+    free: tuple[str, ...]  # names of the parameters of the last fit
+    covariance: Array  # of the free parameters, shape (F, F)
     noise: Array  # standard deviations of x, y, psi, u, v, r, shape (6,)
-    errors: Array  # measured less predicted, in SI units, shape (T, 6)
-    predicted: Array  # shape (T, 6)
-    begin: Begin  # of the search: scales and bounds of the parameters
-    states: Array  # at which the segments begin, shape (S, 6)
-    whiteness: float  # probability that the noise of a right model leaves such errors, see `uncertainty.whiteness`
+    errors: Array  # measured minus predicted, in SI units, shape (T, 6)
+    initial: InitialValues  # with scales and bounds of the parameters
+    states: Array  # initial states of the segments, shape (S, 6)
+    whiteness: float  # p-value of the portmanteau test, see `uncertainty.whiteness`
 
     def __getitem__(self, name: str) -> ParameterEstimate:
-        """Return what is known of a parameter of `LogModel.names`."""
+        """Return the estimate of a parameter of `LogModel.names`."""
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
-    def without(self, rows: NDArray[np.bool_]) -> Array:
-        """Return what the same parameters are where some rows do not count, whole segments each, shape (P,)."""
-        names, begin = self.model.names, self.begin
-        free = np.array([names.index(name) for name in self.free])
-        forms = power_forms(names, begin.scales) if set(CROSS_TERMS) & set(self.free) else None
-        arguments = begin.bounds, begin.scales, self.states, self.noise, forms, begin.sizes, ~rows
-        return fit(self.model, self.values, free, *arguments)[0]
+    def refitted_without(self, rows: NDArray[np.bool_]) -> Array:
+        """Return the values of all parameters, shape (P,), after a fit that ignores some rows, shape (T,)."""
+        initial = replace(self.initial, values=self.values, free=self.free)
+        constraints = initial.constraints(self.model.names)
+        return fit(self.model, initial, self.states, self.noise, constraints, ~rows)[0]
+
+    @property
+    def predicted(self) -> Array:
+        """The predicted measurements, shape (T, 6)."""
+        return unwrapped(self.model.log) - self.errors
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """The parameters that every vehicle needs and this log does not show."""
+        """The names of the parameters that a vehicle needs and that are not identified."""
         return tuple(name for name in NEEDED if self[name].verdict == UNKNOWN)
 
     def vehicle(self, like: Vehicle | None = None) -> Vehicle:
-        """Return the vehicle; what the log does not show is taken from another one. The design speed is the log's mean.
+        """Return the vehicle; its design speed is the mean speed of the log.
 
         With a rudder its tracked point is the centre of percussion of the rudder's side force.
 
+        Args:
+            like: vehicle from which parameters are taken that are not identified.
+
         Raises:
-            ValueError: the log does not show all and no other vehicle is given, or no vehicle can be like that.
+            ValueError: a parameter is not identified and `like` is None, or the values are not those of a vehicle.
         """
         if self.unknown and like is None:
-            raise ValueError(f"the log does not show {', '.join(self.unknown)}; {advice(self.unknown)}")
-        return self._made(like, {})
+            turns = any(name[-1] in "23vr" for name in self.unknown)
+            manoeuvre = "a zig-zag or a turning circle under way" if turns else "steps of the surge force"
+            raise ValueError(f"the log does not show {', '.join(self.unknown)}; {manoeuvre} would")
+        return self._vehicle(like, {})
 
-    def _made(self, like: Vehicle | None, other: Mapping[str, float]) -> Vehicle:
-        """Return `vehicle`, some of its parameters with other values; raises ValueError if there is no such vehicle."""
-        values = {name: other.get(name, self[name].value) for name in COEFFICIENTS}
+    def _vehicle(self, like: Vehicle | None, changed: Mapping[str, float]) -> Vehicle:
+        """Return the vehicle with changed values of some parameters, by name."""
+        values = {name: changed.get(name, self[name].value) for name in COEFFICIENTS}
         for name, value in values.items():
             if math.isnan(value):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
             else:
-                values[name] = float(f"{value:.9g}")  # so that a refusal is no row of digits
-        arm = other.get("arm", self["arm"].value) if "arm" in self.model.names else math.inf
+                values[name] = float(f"{value:.9g}")  # short numbers in error messages
+        arm = changed.get("arm", self["arm"].value) if "arm" in self.model.names else math.inf
         return Vehicle(**values, speed=self.speed, eps=values["m33"] / (values["m22"] * arm))
 
     def ensemble(self, size: int, like: Vehicle | None = None, seed: int = 0) -> list[Vehicle]:
-        """Return vehicles that the log allows: draws from the normal distribution of the fit.
+        """Return vehicles that are drawn from the normal distribution of the fit.
 
-        Draws that no vehicle can be like are repeated.
+        Draws that are not possible vehicles are repeated.
 
         Args:
             size: number of vehicles.
-            like: see `vehicle`.
+            like: vehicle from which parameters are taken that are not identified.
             seed: of the draws.
 
         Raises:
             ValueError: more than nine in ten draws are repeated.
         """
-        rng, at = np.random.default_rng(seed), [self.model.names.index(name) for name in self.free]
-        found: list[Vehicle] = []
-        for drawn in rng.multivariate_normal(self.values[at], self.covariance, 10 * size, method="eigh"):
+        rng, free = np.random.default_rng(seed), self.model.indices(self.free)
+        vehicles: list[Vehicle] = []
+        for drawn in rng.multivariate_normal(self.values[free], self.covariance, 10 * size, method="eigh"):
             with suppress(ValueError):
-                found.append(self._made(like, dict(zip(self.free, drawn.tolist(), strict=True))))
-            if len(found) == size:
-                return found
+                vehicles.append(self._vehicle(like, dict(zip(self.free, drawn.tolist(), strict=True))))
+            if len(vehicles) == size:
+                return vehicles
         raise ValueError(
-            f"{len(found)} of {10 * size} draws from the fit are possible vehicles: the log shows too little"
+            f"{len(vehicles)} of {10 * size} draws from the fit are possible vehicles: the log shows too little"
         )
 
     @property
     def misfit(self) -> bool:
-        """Whether the model does not explain the log: its intervals are then not valid, however wide."""
-        return self.whiteness < DOUBT
+        """Whether the model does not explain the log; its intervals are then not valid."""
+        return self.whiteness < SIGNIFICANCE
 
     @property
     def speed(self) -> float:
         """The mean surge speed [m/s] of the log."""
         return float(np.abs(self.model.log.measured[:, 3]).mean())
-
-
-def advice(names: Sequence[str]) -> str:
-    """Return which manoeuvre would show parameters of the vehicle, in half a sentence."""
-    if any(name[-1] in "23vr" for name in names):
-        return "a zig-zag or a turning circle under way would"
-    return "steps of the surge force would"
 
 
 def identify(
@@ -169,187 +167,186 @@ def identify(
     segment: float = 0.0,
     known: Mapping[str, float] | None = None,
 ) -> Identified:
-    """Return the vehicle in a log: prediction errors as small as they can be, noise and current found along the way.
+    """Return the vehicle model with the least squared prediction errors on a log.
+
+    The errors are weighted by the noise, which is estimated. The current of each run is fitted too.
 
     Args:
-        log: what was measured and commanded, in one run or several ones.
-        terms: names of the optional parameters of the vehicle that may differ from 0; None: all but cross-flow, and
-            that too in a log of a rudder. Each is dropped where the log does not tell it from 0, one after the other,
-            the least certain one first.
-        over_ground: whether u, v are measured over ground; else through the water.
-        segment: length [s] of the pieces that are predicted from a first state; 0: by the vehicle's time constants, or
-            60 s in a log of a rudder.
-        known: values of parameters by name that are not searched for.
+        log: measurements and commands of one run or of several runs.
+        terms: names of the optional coefficients that may differ from 0. They are dropped one by one, the least certain
+            one first, if they do not differ significantly from 0. None: all without cross-flow, in a log of a rudder
+            all.
+        over_ground: whether u, v are measured over ground; otherwise through water.
+        segment: length [s] of the segments, each of which is predicted from its own initial state; 0: by the vehicle's
+            time constants, or 60 s in a log of a rudder.
+        known: values of parameters that are not fitted, by name.
 
     Raises:
-        ValueError: an unknown term or parameter, a segment that is too short or too long, or a log that nothing can be
-            fitted to.
+        ValueError: an unknown term or parameter, a segment that is too short or too long, or a log on which the
+            simulator diverges.
     """
     known = {} if known is None else known
-    candidates = (PLAIN_TERMS if log.kind == "force" else OPTIONAL) if terms is None else tuple(terms)
+    candidates = (DEFAULT_TERMS if log.kind == "force" else OPTIONAL) if terms is None else tuple(terms)
     if unknown := [name for name in candidates if name not in OPTIONAL]:
-        raise ValueError(f"{unknown[0]!r} is no optional parameter of a vehicle; allowed are {', '.join(OPTIONAL)}")
-    names = parameter_names(log.kind, log.wind is not None, len(log.starts))
-    if unknown := [name for name in known if name not in names]:
-        raise ValueError(f"{unknown[0]!r} is no parameter of this log; allowed are {', '.join(names)}")
+        raise ValueError(f"{unknown[0]!r} is not an optional parameter of a vehicle; allowed are {', '.join(OPTIONAL)}")
+    if unknown := [name for name in known if name not in names_of(log)]:
+        raise ValueError(f"{unknown[0]!r} is not a parameter of this log; allowed are {', '.join(names_of(log))}")
     check_segment(log, segment)
-    begin = first_estimates(log, over_ground, candidates, known)
-    length, rows = segment_length(log, begin.values, segment), LONGER * FIRST_SEGMENT
-    search = None
-    while True:  # longer and longer: the more is asked of the values, the nearer they are
+    initial = initial_values(log, over_ground, candidates, known)
+    length, rows = segment_length(log, initial.values, segment), LONGER * FIRST_SEGMENT
+    last: _BackwardElimination | None = None
+    while True:  # the fit of short segments gives initial values for longer ones
         starts = segment_starts(log, min(rows * log.dt, length))
-        model = LogModel(log, starts, substeps_for(log, begin.values), over_ground)
+        model = LogModel(log, starts, substeps_for(log, initial.values), over_ground)
         try:
-            longer = _Search(model, begin, known, candidates)
+            following = _BackwardElimination(model, initial, known, candidates)
         except ValueError:
-            longer = None
-        if longer is None or (search is not None and longer.misfit > WORSE * search.misfit and log.kind == "force"):
-            break  # errors have grown so far on the way that there is no following them
-        search, begin = longer, replace(begin, values=longer.values)
+            break
+        if last is not None and following.mean_square > WORSE * last.mean_square and log.kind == "force":
+            break  # errors have grown too much within the longer segments
+        last, initial = following, replace(initial, values=following.values)
         if rows * log.dt >= length:
             break
         rows *= LONGER
-    if search is None:
-        raise ValueError(FAILED_START)
-    found = search.run()
-    if begin.sizes is not None:
-        own = _Search(search.model, replace(begin, values=found.values, sizes=None), known, candidates)
-        found = own.run() if own.explains() else found  # the log itself shows what it needs to
+    if last is None:
+        raise ValueError(NO_INITIAL_VALUES)
+    found = last.run()
+    if initial.prior is not None:
+        without_prior = replace(initial, values=found.values, prior=None)
+        refit = _BackwardElimination(last.model, without_prior, known, candidates)
+        found = refit.run() if refit.explains() else found
     if found.misfit and terms is None and log.kind == "force":
-        more = _Search(search.model, begin.with_terms(CROSS_TERMS), known, (*candidates, *CROSS_TERMS)).run()
-        gain = len(log.t) * float(np.sum(np.log(found.noise / more.noise)))
-        found = more if gain > EVIDENCE else found
+        more = [name for name in CROSS_TERMS if name not in initial.free and initial.shares[name] > 0]
+        crossed = replace(initial, free=(*initial.free, *more))
+        other = _BackwardElimination(last.model, crossed, known, (*candidates, *CROSS_TERMS)).run()
+        gain = len(log.t) * float(np.sum(np.log(found.noise / other.noise)))
+        found = other if gain > EVIDENCE else found
     return found
 
 
-class _Search:
-    """Fits in turn: with all parameters, then without those that do not differ from 0, the least certain first."""
+class _BackwardElimination:
+    """Fits with all parameters, then without those that do not differ from 0, the least certain one first."""
 
-    def __init__(self, model: LogModel, begin: Begin, known: Mapping[str, float], terms: Sequence[str]) -> None:
-        self.model, self.begin, self.names, log = model, begin, model.names, model.log
-        self.peaks = np.abs(log.commands).max(axis=0)
-        self.scales, self.bounds = begin.scales, begin.bounds
-        self.forms = power_forms(self.names, self.scales) if set(CROSS_TERMS) & set(begin.free) else None
-        self.free, self.noise = list(begin.free), rough_noise(log)
+    def __init__(
+        self, model: LogModel, initial: InitialValues, known: Mapping[str, float], terms: Sequence[str]
+    ) -> None:
+        self.model, self.initial, self.known, self.terms, self.kept = model, initial, known, terms, set(KEPT)
+        self.index = {name: i for i, name in enumerate(model.names)}
+        self.peaks = dict(zip(LIMIT_NAMES, np.abs(model.log.commands).max(axis=0).tolist(), strict=True))
+        self.constraints = initial.constraints(model.names)
+        self.free, self.noise = list(initial.free), rough_noise(model.log)
         self.dropped: dict[str, ParameterEstimate] = {}
-        self.known, self.terms, self.kept = known, terms, set(KEPT)
-        self.states, self.spread = first_states(model), np.zeros((0, 0))
-        self.values, self.left = self._fitted(np.clip(begin.values, *self._inside()))
+        self.states = measured_states(model)
+        low, high = initial.bounds
+        limits = [name in LIMIT_NAMES and name in self.free for name in model.names]
+        below = np.where(limits, 0.999, 1.0)  # limits above the largest command have no effect
+        self.values, self.residuals = self._fit(np.clip(initial.values, low, high * below))
 
     @property
-    def misfit(self) -> float:
+    def mean_square(self) -> float:
         """Mean squared error, in variances of the noise."""
-        return float(np.mean(self.left.errors**2))
+        return float(np.mean(self.residuals.errors**2))
 
-    def _inside(self) -> tuple[Array, Array]:
-        """Return the bounds, free limits a little below the largest commands: beyond these they have no effect."""
-        low, high = self.bounds
-        below = np.array([0.999 if name in LIMIT_NAMES and name in self.free else 1.0 for name in self.names])
-        return low, high * below
-
-    def _fitted(self, values: Array) -> tuple[Array, Left]:
-        free = np.array([self.names.index(name) for name in self.free])
-        return fit(
-            self.model, values, free, self.bounds, self.scales, self.states, self.noise, self.forms, self.begin.sizes
-        )
+    def _fit(self, values: Array) -> tuple[Array, Residuals]:
+        initial = replace(self.initial, values=values, free=tuple(self.free))
+        return fit(self.model, initial, self.states, self.noise, self.constraints)
 
     def _refit(self) -> None:
-        """Fit again from where it is, with the noise that was found."""
-        self.states = self.left.states
-        self.noise = found_noise(self.left, self.noise, self.model.log)
-        self.values, self.left = self._fitted(self.values)
-        self.white = whiteness(self.left.errors, self.model.starts)
-        self.spread = covariance(self.left, self.model.starts, self.white < DOUBT)
+        """Fit again from the present values, with the noise of the last fit."""
+        self.states = self.residuals.states
+        self.noise = estimated_noise(self.residuals, self.noise, self.model.log)
+        self.values, self.residuals = self._fit(self.values)
+        self.whiteness = whiteness(self.residuals.errors, self.model.starts)
+        self.covariance = covariance(self.residuals, self.model.starts, self.whiteness < SIGNIFICANCE)
 
     def explains(self) -> bool:
-        """Whether the model explains the log with all that is free."""
+        """Return whether the model with all free parameters explains the log."""
         self._refit()
-        return self.white >= DOUBT
+        return self.whiteness >= SIGNIFICANCE
 
     def run(self) -> Identified:
-        """Return the fit once all optional parameters differ significantly from 0, or at once with a prior."""
+        """Return the fit in which all optional parameters differ significantly from 0; with a prior none is dropped."""
         self._refit()
         self._refit()
-        while self.begin.sizes is None and (name := self._least_certain()) is not None:
-            estimate = self._estimate(name)
-            unreached = name in LIMIT_NAMES
-            self.dropped[name] = replace(
-                estimate, value=math.inf if unreached else 0.0, verdict=UNREACHED if unreached else ZERO
-            )
-            if unreached:
-                peak = float(self.peaks[LIMIT_NAMES.index(name)])
-                self.dropped[name] = replace(self.dropped[name], low=min(estimate.low, peak), high=math.inf)
-            before, free = self.values.copy(), list(self.free)
-            self.values[self.names.index(name)] = self.bounds[1][self.names.index(name)] if unreached else 0.0
-            self.free.remove(name)
-            try:
-                self._refit()
-            except ValueError:  # without it the prediction blows up
-                self.values, self.free = before, free
-                self.kept.add(name)
-                del self.dropped[name]
-        return self._identified()
-
-    def _certainty(self, name: str) -> float:
-        """Return by how many standard deviations a parameter differs from what it is without effect."""
-        at = self.free.index(name)
-        value, deviation = self.values[self.names.index(name)], math.sqrt(self.spread[at, at])
-        if name in LIMIT_NAMES:
-            commands = np.abs(self.model.log.commands[:, LIMIT_NAMES.index(name)])
-            shown = np.count_nonzero(commands > value) >= FEWEST_BEYOND
-            return float((commands.max() - value) / deviation) if shown else -math.inf
-        sure = float(value / deviation)
-        return sure if name in NOT_NEGATIVE else abs(sure)
+        while self.initial.prior is None and (name := self._least_certain()) is not None:
+            self._drop(name)
+        return Identified(
+            self.model,
+            tuple(map(self._estimate, self.model.names)),
+            self.values,
+            tuple(self.free),
+            self.covariance,
+            self.noise,
+            self.residuals.errors * self.noise,
+            self.initial,
+            self.states,
+            self.whiteness,
+        )
 
     def _least_certain(self) -> str | None:
+        """Return the name of the parameter that is to be dropped, None if there is none."""
         candidates = [name for name in self.free if name not in self.kept and not is_current(name)]
-        sure = {name: self._certainty(name) for name in candidates}
-        least = min(sure, key=lambda name: sure[name], default=None)
-        return least if least is not None and sure[least] < NORMAL_QUANTILE else None
+        certainties = {name: self._certainty(name) for name in candidates}
+        least = min(certainties, key=lambda name: certainties[name], default=None)
+        return least if least is not None and certainties[least] < NORMAL_QUANTILE else None
 
-    def _estimate(self, name: str) -> ParameterEstimate:
-        """Return what the last fit says about one of the parameters that it has chosen."""
-        at, value = self.free.index(name), float(self.values[self.names.index(name)])
-        half = NORMAL_QUANTILE * math.sqrt(self.spread[at, at])
+    def _certainty(self, name: str) -> float:
+        """Return the difference of a parameter from its value without effect, in standard deviations."""
+        value, deviation = self.values[self.index[name]], self._deviation(name)
+        if name in LIMIT_NAMES:
+            commands = np.abs(self.model.log.commands[:, LIMIT_NAMES.index(name)])
+            reached = np.count_nonzero(commands > value) >= FEWEST_BEYOND
+            return float((commands.max() - value) / deviation) if reached else -math.inf
+        ratio = float(value / deviation)
+        return ratio if name in NOT_NEGATIVE else abs(ratio)
+
+    def _deviation(self, name: str) -> float:
+        at = self.free.index(name)
+        return math.sqrt(self.covariance[at, at])
+
+    def _drop(self, name: str) -> None:
+        """Fit without a parameter, or keep it if the prediction without it diverges."""
+        estimate, values, free = self._free_estimate(name), self.values.copy(), list(self.free)
+        if name in LIMIT_NAMES:
+            low = min(estimate.low, self.peaks[name])
+            estimate = replace(estimate, value=math.inf, low=low, high=math.inf, verdict=UNREACHED)
+            self.values[self.index[name]] = self.initial.bounds[1][self.index[name]]
+        else:
+            estimate = replace(estimate, value=0.0, verdict=ZERO)
+            self.values[self.index[name]] = 0.0
+        self.free.remove(name)
+        try:
+            self._refit()
+        except ValueError:
+            self.values, self.free = values, free
+            self.kept.add(name)
+        else:
+            self.dropped[name] = estimate
+
+    def _free_estimate(self, name: str) -> ParameterEstimate:
+        """Return the estimate of a free parameter by the last fit."""
+        value, half = float(self.values[self.index[name]]), NORMAL_QUANTILE * self._deviation(name)
         low, high = value - half, value + half
         if name in NOT_NEGATIVE:
             low, high = max(low, 0.0), max(high, 0.0)
-        verdict = IDENTIFIED if self.white >= DOUBT else FITTED
-        if name in COEFFICIENTS and half > abs(value) and half * self.begin.shares[name] > 1:
+        verdict = IDENTIFIED if self.whiteness >= SIGNIFICANCE else FITTED
+        if name in COEFFICIENTS and half > abs(value) and half * self.initial.shares[name] > 1:
             verdict = UNKNOWN
-        elif self.begin.sizes is not None and name not in KEPT and not is_current(name) and half > abs(value):
+        elif self.initial.prior is not None and name not in KEPT and not is_current(name) and half > abs(value):
             verdict = SMALL
         return ParameterEstimate(name, value, low, high, verdict)
 
-    def _of(self, name: str) -> ParameterEstimate:
+    def _estimate(self, name: str) -> ParameterEstimate:
         if name in self.free:
-            estimate = self._estimate(name)
+            estimate = self._free_estimate(name)
             return replace(estimate, value=math.nan) if estimate.verdict == UNKNOWN else estimate
         if name in self.dropped:
             return self.dropped[name]
         if name in LIMIT_NAMES:
-            return ParameterEstimate(name, math.inf, float(self.peaks[LIMIT_NAMES.index(name)]), math.inf, UNREACHED)
-        value = float(self.values[self.names.index(name)])
+            return ParameterEstimate(name, math.inf, self.peaks[name], math.inf, UNREACHED)
         if name in self.known:
+            value = float(self.values[self.index[name]])
             return ParameterEstimate(name, value, value, value, KNOWN)
         if name in OPTIONAL and name not in self.terms:
             return ParameterEstimate(name, 0.0, 0.0, 0.0, LEFT_OUT)
         return ParameterEstimate(name, math.nan, -math.inf, math.inf, UNKNOWN)
-
-    def _identified(self) -> Identified:
-        errors = self.left.errors * self.noise
-        measured = unwrapped(self.model.log)
-        estimates = tuple(self._of(name) for name in self.names)
-        return Identified(
-            self.model,
-            estimates,
-            self.values,
-            tuple(self.free),
-            self.spread,
-            self.noise,
-            errors,
-            measured - errors,
-            self.begin,
-            self.states,
-            self.white,
-        )

@@ -1,15 +1,15 @@
-"""Prediction errors as small as they can be: the first states are eliminated, the rest is `scipy.optimize`.
+"""Nonlinear least squares on prediction errors, with the initial states of segments eliminated.
 
-For given parameters the best first state of each segment is found by Gauss and Newton; the residuals are projected onto
-what no first state can explain (L. Kaufman, "A variable projection method for solving separable nonlinear least squares
-problems", BIT 15:49-57, 1975). The problem then has as many unknowns as parameters, however long the log is.
+For given parameters the best initial state of each segment is found by Gauss-Newton steps. The residuals are projected
+onto the space that is orthogonal to the effect of the initial states (L. Kaufman, "A variable projection method for
+solving separable nonlinear least squares problems", BIT 15:49-57, 1975). The number of unknowns is then that of the
+parameters, for any length of the log. `scipy.optimize.least_squares` solves the reduced problem.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,154 +17,177 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from auv_gym.physics.namespaces import Array, Indices
-from baselines.identification.log import MEASURED_COLUMNS, unwrapped
-from baselines.identification.model import LOG_STATES, LogModel
+from auv_gym.physics.vehicle import CrossTerms
+from baselines.identification.log import MEASURED_COLUMNS, slices, unwrapped
+from baselines.identification.model import CROSS_TERMS, LOG_STATES, LogModel
 
-INNER = 4  # predictions on the way to the best first states
-BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
-MOST = 30  # evaluations of a fit
-REFUSED = 1e3  # [standard deviations] that a form counts as which is too small by 1
-LEAST_FORM = 0.02  # of a linear form that must not be negative
-_TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which it ends
+INNER = 4  # Gauss-Newton steps to the best initial states
+DIVERGED = 1e60  # [standard deviations] error from which a prediction counts as divergent
+MAX_EVALUATIONS = 30  # of a fit
+PENALTY = 1e3  # [standard deviations] residual of a constraint that is violated by 1
+LEAST_CONSTRAINT = 0.02  # least value of a linear constraint
+_TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which a fit ends
+_RATIOS = np.geomspace(1e-2, 1e2, 33)  # of yaw rate and sway velocity at which damping must be dissipative
 
 
 @dataclass(frozen=True)
-class Left:
-    """What parameters and their best first states leave of the measurements, in standard deviations."""
+class InitialValues:
+    """Initial values of a fit, with scales and bounds of the parameters and the names of the free ones."""
 
-    states: Array  # x, y, psi, u, v, r at the segments' starts, shape (S, 6)
-    errors: Array  # measured less predicted, shape (T, 6)
-    slopes: Array  # of the errors by the free parameters, less what first states explain, shape (T, 6, F)
+    values: Array  # of `LogModel.names`, shape (P,)
+    scales: Array  # typical changes, shape (P,)
+    bounds: tuple[Array, Array]  # least and largest values, shape (P,) each
+    free: tuple[str, ...]  # names of the free parameters
+    shares: Mapping[str, float]  # force per unit of a coefficient, as a share of all forces
+    prior: Array | None = None  # standard deviations of a normal prior with mean 0, shape (P,); infinite: no prior
+
+    def constraints(self, names: Sequence[str]) -> Array | None:
+        """Return linear constraints by which quadratic damping is dissipative, None if no cross term is free.
+
+        The rows are linear forms of the parameters `names`, shape (K, P), see `CrossTerms.slopes`. They are negative
+        where the damping adds power. In their units the scales of Y_vv and N_rr are 1.
+        """
+        if not set(CROSS_TERMS) & set(self.free):
+            return None
+        at = {name: names.index(name) for name in (*CROSS_TERMS, "Y_vv", "N_rr")}
+        unit = np.cbrt(self.scales[at["N_rr"]] / self.scales[at["Y_vv"]])
+        rows = np.eye(len(names))
+        cross = CrossTerms._make([*(rows[at[name]] for name in CROSS_TERMS), 0.0, 0.0, 0.0])
+        ratios = _RATIOS[:, None] / unit
+        forms = [
+            sum(c * ratios**k for k, c in enumerate(slope)) / self.scales[at["Y_vv"]]
+            for slope in cross.slopes(rows[at["Y_vv"]], rows[at["N_rr"]])
+        ]
+        return np.concatenate(forms) / np.tile(1 + _RATIOS[:, None] ** 3, (2, 1))
 
 
-def first_states(model: LogModel) -> Array:
-    """Return the measurements at the starts of the segments, shape (S, 6): where the search for states begins."""
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals for given parameters and the best initial states, in standard deviations of the noise."""
+
+    states: Array  # x, y, psi, u, v, r at the first rows of the segments, shape (S, 6)
+    errors: Array  # measured minus predicted, shape (T, 6)
+    slopes: Array  # derivatives of the errors by the free parameters, projected like them, shape (T, 6, F)
+
+
+def measured_states(model: LogModel) -> Array:
+    """Return the measurements at the first rows of the segments, shape (S, 6), as initial states of a fit."""
     return np.asarray(unwrapped(model.log)[model.starts])
 
 
-def leave(model: LogModel, values: Array, free: Indices, states: Array, noise: Array) -> Left | None:
-    """Return what parameters leave, with the best first states near given ones; None where the prediction blows up.
+def residuals(model: LogModel, values: Array, free: Indices, states: Array, noise: Array) -> Residuals | None:
+    """Return the residuals of given parameters with the best initial states, None if the prediction diverges.
 
     Args:
-        model: the simulator on a log.
-        values: of `model.names`, shape (P,).
-        free: indices of those that the slopes are for, shape (F,).
-        states: at the segments' starts, shape (S, 6).
+        model: the simulator with the commands of a log.
+        values: values of `model.names`, shape (P,).
+        free: positions of the parameters for which derivatives are computed, shape (F,).
+        states: first guess of the initial states, shape (S, 6).
         noise: standard deviations of the measurements, shape (6,).
     """
-    measured, cuts = unwrapped(model.log), [*model.starts.tolist(), len(model.log.t)]
-    segments = [slice(a, b) for a, b in itertools.pairwise(cuts)]
-    best, moves, least = states, np.zeros_like(states), np.full(len(segments), np.inf)
+    measured, segments = unwrapped(model.log), slices(model.starts, len(model.log.t))
+    best, changes, least = states, np.zeros_like(states), np.full(len(segments), np.inf)
     share = np.ones(len(segments))
     for last in (*(False,) * INNER, True):
-        trial = best if last else best + share[:, None] * moves
+        trial = best if last else best + share[:, None] * changes
         prediction = model.predict(values, trial, free if last else free[:0])
-        errors, by_start = (measured - prediction.seen) / noise, prediction.by_start / noise[:, None]
+        errors, by_state = (measured - prediction.outputs) / noise, prediction.by_state / noise[:, None]
         slopes = -prediction.by_value / noise[:, None]
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.add.reduceat(np.sum(errors**2, axis=1), model.starts)
         if not last:
             better = squares < least
             best, least = np.where(better[:, None], trial, best), np.where(better, squares, least)
-            share = np.where(better, 1.0, 0.25 * share)  # back, where a whole step went too far
-            moves = np.where(better[:, None], _moves(by_start, errors, segments), moves)
-    if not all(np.abs(x).max(initial=0.0) < BLOWN_UP for x in (errors, slopes, by_start)):  # nor if it is no number
+            share = np.where(better, 1.0, 0.25 * share)  # a shorter step if the errors have increased
+            changes = np.where(better[:, None], _state_changes(by_state, errors, segments), changes)
+    if not all(np.abs(x).max(initial=0.0) < DIVERGED for x in (errors, slopes, by_state)):  # false for nan too
         return None
     for part in segments:
-        basis, _ = np.linalg.qr(by_start[part].reshape(-1, LOG_STATES))
+        basis, _ = np.linalg.qr(by_state[part].reshape(-1, LOG_STATES))
         both = np.column_stack((slopes[part].reshape(errors[part].size, len(free)), errors[part].ravel()))
         both -= basis @ (basis.T @ both)
         slopes[part], errors[part] = both[:, :-1].reshape(slopes[part].shape), both[:, -1].reshape(errors[part].shape)
-    return Left(trial, errors, slopes)
+    return Residuals(trial, errors, slopes)
 
 
-def _moves(by_start: Array, errors: Array, segments: Sequence[slice]) -> Array:
-    """Return the best changes of the first states, shape (S, 6); none where a prediction blows up."""
-    found = np.zeros((len(segments), LOG_STATES))
+def _state_changes(by_state: Array, errors: Array, segments: Sequence[slice]) -> Array:
+    """Return the Gauss-Newton steps of the initial states, shape (S, 6); 0 where a prediction diverges."""
+    steps = np.zeros((len(segments), LOG_STATES))
     for i, part in enumerate(segments):
-        if np.abs(by_start[part]).max() < BLOWN_UP and np.abs(errors[part]).max() < BLOWN_UP:
-            slopes = by_start[part].reshape(-1, LOG_STATES)
-            found[i] = np.linalg.lstsq(slopes, errors[part].ravel(), rcond=None)[0]
-    return found
+        if np.abs(by_state[part]).max() < DIVERGED and np.abs(errors[part]).max() < DIVERGED:
+            steps[i] = np.linalg.lstsq(by_state[part].reshape(-1, LOG_STATES), errors[part].ravel(), rcond=None)[0]
+    return steps
 
 
 def fit(
     model: LogModel,
-    values: Array,
-    free: Indices,
-    bounds: tuple[Array, Array],
-    scales: Array,
+    initial: InitialValues,
     states: Array,
     noise: Array,
-    forms: Array | None = None,
-    sizes: Array | None = None,
+    constraints: Array | None = None,
     used: NDArray[np.bool_] | None = None,
-) -> tuple[Array, Left]:
-    """Return the parameters with the least squared prediction errors, shape (P,), and what they leave.
+) -> tuple[Array, Residuals]:
+    """Return the parameters with the least squared prediction errors, shape (P,), and their residuals.
 
     Args:
-        model: the simulator on a log.
-        values: where the search begins, within the bounds, shape (P,).
-        free: indices of the parameters that are searched for, shape (F,).
-        bounds: least and largest values, shape (P,) each.
-        scales: changes of the parameters that matter, shape (P,).
-        states: where the search for first states begins, shape (S, 6).
+        model: the simulator with the commands of a log.
+        initial: initial values of the parameters, within the bounds.
+        states: first guess of the initial states, shape (S, 6).
         noise: standard deviations of the measurements, shape (6,).
-        forms: linear forms of the parameters that must not fall below `LEAST_FORM`, shape (K, P).
-        sizes: standard deviations of the parameters about 0 before the log is seen, shape (P,); infinite where nothing
-            is known.
+        constraints: linear forms of the parameters that must be at least `LEAST_CONSTRAINT`, shape (K, P); None: none.
         used: the rows that count, shape (T,); None: all.
 
     Raises:
-        ValueError: the prediction blows up at the values where the search begins.
+        ValueError: the prediction diverges at the initial values.
     """
-    forms = np.zeros((0, len(values))) if forms is None else forms
-    prior = np.zeros(len(free)) if sizes is None else scales[free] / sizes[free]
-    kept: dict[bytes, Left | None] = {}
-    best, near = math.inf, states
+    free = model.indices(initial.free)
+    scales = initial.scales[free]
+    forms = np.zeros((0, len(initial.values))) if constraints is None else constraints
+    weights = np.zeros(len(free)) if initial.prior is None else scales / initial.prior[free]
+    cache: dict[bytes, Residuals | None] = {}
+    least, best_states = math.inf, states
 
-    def at(x: Array) -> Left | None:
-        nonlocal best, near
-        if (key := x.tobytes()) not in kept:
-            trial = values.copy()
-            trial[free] = x * scales[free]
-            kept[key] = found = leave(model, trial, free, near, noise)
+    def parameters(x: Array) -> Array:
+        values = initial.values.copy()
+        values[free] = x * scales
+        return values
+
+    def residuals_at(x: Array) -> Residuals | None:
+        nonlocal least, best_states
+        if (key := x.tobytes()) not in cache:
+            cache[key] = found = residuals(model, parameters(x), free, best_states, noise)
             if found is not None and used is not None:
                 found.errors[~used] = found.slopes[~used] = 0.0
-            if found is not None and (cost := float(np.sum(found.errors**2))) < best:
-                best, near = cost, found.states
-                for other in kept.keys() - {key}:
-                    del kept[other]
-        return kept[key]
+            if found is not None and (cost := float(np.sum(found.errors**2))) < least:
+                least, best_states = cost, found.states
+                for other in cache.keys() - {key}:
+                    del cache[other]
+        return cache[key]
 
-    def refused(x: Array) -> Array:
-        """Return by how much the forms are too small."""
-        trial = values.copy()
-        trial[free] = x * scales[free]
-        return np.asarray(np.minimum(forms @ trial - LEAST_FORM, 0.0))
+    def violations(x: Array) -> Array:
+        return np.asarray(np.minimum(forms @ parameters(x) - LEAST_CONSTRAINT, 0.0))
 
     def errors(x: Array) -> Array:
-        left = at(x)
-        size = len(model.log.t) * len(MEASURED_COLUMNS)
-        found = np.full(size, np.inf) if left is None else left.errors.ravel()
-        return np.concatenate((found, REFUSED * refused(x), prior * x))
+        found = residuals_at(x)
+        flat = np.full(len(model.log.t) * len(MEASURED_COLUMNS), np.inf) if found is None else found.errors.ravel()
+        return np.concatenate((flat, PENALTY * violations(x), weights * x))
 
     def slopes(x: Array) -> Array:
-        left = at(x)
-        assert left is not None
-        wrong = np.where(refused(x)[:, None] < 0, REFUSED * forms[:, free], 0.0)
-        shown = np.concatenate((left.slopes.reshape(-1, len(free)), wrong)) * scales[free]
-        return np.concatenate((shown, np.diag(prior)))
+        found = residuals_at(x)
+        assert found is not None
+        penalties = np.where(violations(x)[:, None] < 0, PENALTY * forms[:, free], 0.0)
+        by_parameter = np.concatenate((found.slopes.reshape(-1, len(free)), penalties)) * scales
+        return np.concatenate((by_parameter, np.diag(weights)))
 
-    low, high = (bound[free] / scales[free] for bound in bounds)
-    begin = values[free] / scales[free]
-    inside = 1e-9 * np.maximum(1.0, np.abs(begin))  # where SciPy leaves it as it is
-    begin = np.clip(begin, low + inside, high - inside)
-    if at(begin) is None:
-        raise ValueError("the simulator blows up on this log; is the time step short enough for the vehicle?")
-    done = least_squares(errors, begin, slopes, (low, high), ftol=_TOLERANCE, xtol=_TOLERANCE, gtol=None, max_nfev=MOST)
-    found = values.copy()
-    found[free] = done.x * scales[free]
-    left = at(done.x)
-    assert left is not None
-    return found, left
+    low, high = (bound[free] / scales for bound in initial.bounds)
+    x = initial.values[free] / scales
+    margin = 1e-9 * np.maximum(1.0, np.abs(x))  # SciPy moves values that are on a bound
+    x = np.clip(x, low + margin, high - margin)
+    if residuals_at(x) is None:
+        raise ValueError("the simulator diverges on this log; is the time step short enough for the vehicle?")
+    x = least_squares(
+        errors, x, slopes, (low, high), ftol=_TOLERANCE, xtol=_TOLERANCE, gtol=None, max_nfev=MAX_EVALUATIONS
+    ).x
+    result = residuals_at(x)
+    assert result is not None
+    return parameters(x), result

@@ -1,9 +1,8 @@
-"""What the simulator predicts of a log, and the exact derivatives of that: the equations themselves, traced.
+"""Predictions of a log by the simulator, with exact derivatives that are traced from the equations of motion.
 
-The log is cut into segments. Each begins at a state of its own and is predicted from there by the commands alone; the
-actuators go on from segment to segment of a run. Short segments keep the fit good-natured where the vehicle itself is
-not: a slender body turns away from a straight course by itself, and over a minute a small error would grow beyond all
-bounds.
+The log is divided into segments. The prediction of a segment begins at its initial state and uses the commands alone.
+The states of the actuators continue from segment to segment of a run. Short segments keep the problem well conditioned:
+a slender body is unstable in yaw, so in a long prediction a small error grows without bound.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from auv_gym.physics.vehicle import Coefficients, CrossTerms
 from auv_gym.physics.wind import WindDrag, wind_load
 from baselines.identification.log import Log
 
-CROSS_TERMS = CrossTerms._fields[:9]  # names of the quadratic cross terms of damping, which are fitted
+CROSS_TERMS = CrossTerms._fields[:9]  # names of the quadratic cross terms of damping that are fitted
 COEFFICIENTS = (*Coefficients._fields, *CROSS_TERMS)  # names of the parameters of the vehicle
 LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators of forces
 STERN_NAMES: Mapping[str, tuple[str, ...]] = {
@@ -37,101 +36,120 @@ STERN_NAMES: Mapping[str, tuple[str, ...]] = {
     "revolutions": Stern._fields,
 }
 """Names of the parameters of propeller and rudder, by the kind of the commands."""
-WIND_NAMES = WindDrag._fields  # names of the parameters of the wind's force
-AHEAD = "ahead"  # [m] how far the origin of the equations lies ahead of the point that the log measures
+WIND_NAMES = WindDrag._fields  # names of the parameters of the wind force
+AHEAD = "ahead"  # [m] distance of the origin of the equations ahead of the measured point
 CURRENT_NAMES = ("V_x", "V_y")  # [m/s] in the world, constant in a run
-LOG_STATES = 6  # of a `dynamics.State`
-_PLANT = LOG_STATES + 2  # with the forces of the actuators
-_TIMES = 13  # rows that differ from step to step, besides the states at which segments begin
+LOG_STATES = 6  # number of states of a `dynamics.State`
+_PLANT = LOG_STATES + 2  # the same with the forces of the actuators
+_INPUTS = 13  # number of inputs of a time step, without the initial state of a segment
 
 
 def parameter_names(kind: str, wind: bool = False, runs: int = 1) -> tuple[str, ...]:
-    """Return the names of what is fitted to a log besides the states at which segments begin.
+    """Return the names of the parameters of a log, without the initial states of segments.
 
-    The lag is one for both actuators, as in `auv_gym.physics.actuators.Actuators`; each run has a current of its own.
+    Both actuators have the same lag, as in `auv_gym.physics.actuators.Actuators`. Each run has its own current.
     """
-    own = (*STERN_NAMES[kind], AHEAD) if STERN_NAMES[kind] else LIMIT_NAMES
+    actuators = (*STERN_NAMES[kind], AHEAD) if STERN_NAMES[kind] else LIMIT_NAMES
     currents = [f"{name}{'' if runs == 1 else f' {k + 1}'}" for k in range(runs) for name in CURRENT_NAMES]
-    return (*COEFFICIENTS, *own, *(WIND_NAMES if wind else ()), *currents, "lag")
+    return (*COEFFICIENTS, *actuators, *(WIND_NAMES if wind else ()), *currents, "lag")
 
 
 FITTED_PARAMETERS = parameter_names("force")
-"""Those of a log of forces in one run."""
+"""Names of the parameters of a log of forces with one run."""
+
+
+def names_of(log: Log) -> tuple[str, ...]:
+    """Return the names of the parameters of a log, see `parameter_names`."""
+    return parameter_names(log.kind, log.wind is not None, len(log.starts))
+
+
+def is_current(name: str) -> bool:
+    """Return whether a parameter is the current of a run."""
+    return name.split(maxsplit=1)[0] in CURRENT_NAMES
 
 
 @lru_cache(maxsize=16)
 def _kernel(kind: str, wind: bool, crossed: bool, substeps: int, over_ground: bool) -> Kernel:
-    """Return the kernel of a time step: what is `seen` before it, and its `change` along a direction `seed`."""
+    """Return the kernel of a time step: the `outputs` before it, and their `change` along a direction `seed`."""
     names = parameter_names(kind, wind, 0)[:-1]
-    lanes = LOG_STATES + len(names) + len(CURRENT_NAMES) + 1
 
-    def equation(plant: Any, tangent: Any, times: Any, values: Any, seed: Any) -> Mapping[str, Sequence[Any]]:
-        one, other, dt, gain, mean, d_gain, d_mean, begins, held_out, V_x, V_y, W_x, W_y, *first = times
+    def equation(plant: Any, tangent: Any, inputs: Any, values: Any, seed: Any) -> Mapping[str, Sequence[Any]]:
+        one, other, dt, gain, mean, d_gain, d_mean, new_segment, new_run, V_x, V_y, W_x, W_y, *initial = inputs
         named = dict(zip(names, values, strict=True))
-        state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(first, plant[:LOG_STATES], strict=True)]
+        state = [SYMBOLS.where(new_segment > 0.5, a, b) for a, b in zip(initial, plant[:LOG_STATES], strict=True)]
         command = one, other
         if kind == "force":
             command = tuple(SYMBOLS.clip(c, -named[n], named[n]) for c, n in zip(command, LIMIT_NAMES, strict=True))
-        before = [SYMBOLS.where(held_out > 0.5, a, b) for a, b in zip(command, plant[LOG_STATES:], strict=True)]
+        before = [SYMBOLS.where(new_run > 0.5, a, b) for a, b in zip(command, plant[LOG_STATES:], strict=True)]
         acting, after = respond((before[0], before[1]), command, Response(gain, mean, math.inf, math.inf), SYMBOLS)
         air = (V_x - W_x, V_y - W_y) if wind else None
         coefficients = [named[n] for n in (COEFFICIENTS if crossed else Coefficients._fields)]
         moved = tuple(state)
         for _ in range(substeps):
-            load = _load(kind, acting, moved, air, named)
+            load = load_of(kind, acting, moved, named, SYMBOLS, air)
             moved = rk4_step(moved, load, coefficients, dt * (1 / substeps), (V_x, V_y), SYMBOLS)
         x, y, psi, u, v, r = state
         c, s = SYMBOLS.cos(psi), SYMBOLS.sin(psi)
         V_u, V_v = to_body(V_x, V_y, c, s) if over_ground else (0.0, 0.0)
         ahead = named.get(AHEAD, 0.0)
-        seen, following = [x - ahead * c, y - ahead * s, psi, u + V_u, v + V_v - ahead * r, r], [*moved, *after]
-        d_first, d_values, d_lag = seed[:LOG_STATES], seed[LOG_STATES:-1], seed[-1]
-        d_state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(d_first, tangent[:LOG_STATES], strict=True)]
-        given = [*state, *plant[LOG_STATES:], *values, V_x, V_y, gain, mean]
+        outputs, following = [x - ahead * c, y - ahead * s, psi, u + V_u, v + V_v - ahead * r, r], [*moved, *after]
+        d_initial, d_values, d_lag = seed[:LOG_STATES], seed[LOG_STATES:-1], seed[-1]
+        d_state = [SYMBOLS.where(new_segment > 0.5, a, b) for a, b in zip(d_initial, tangent[:LOG_STATES], strict=True)]
+        variables = [*state, *plant[LOG_STATES:], *values, V_x, V_y, gain, mean]
         along = [*d_state, *tangent[LOG_STATES:], *d_values, d_gain * d_lag, d_mean * d_lag]
-        directions = {symbol.index: d for symbol, d in zip(given, along, strict=True)}
-        change = directional([*following, *seen], directions)
-        return {"plant": following, "tangent": change[:_PLANT], "seen": seen, "change": change[_PLANT:]}
+        directions = {symbol.index: d for symbol, d in zip(variables, along, strict=True)}
+        change = directional([*following, *outputs], directions)
+        return {"plant": following, "tangent": change[:_PLANT], "outputs": outputs, "change": change[_PLANT:]}
 
-    sizes = {"plant": _PLANT, "tangent": _PLANT, "times": _TIMES + LOG_STATES, "values": len(names), "seed": lanes}
-    return Kernel.traced(equation, sizes, ["times", "seen", "change"], shared=["values"])
+    sizes = {"plant": _PLANT, "tangent": _PLANT, "inputs": _INPUTS + LOG_STATES, "values": len(names)}
+    sizes["seed"] = LOG_STATES + len(names) + len(CURRENT_NAMES) + 1
+    return Kernel.traced(equation, sizes, ["inputs", "outputs", "change"], shared=["values"])
 
 
-def _load(
-    kind: str, acting: tuple[Any, Any], state: State, air: tuple[Any, Any] | None, named: Mapping[str, Any]
+def load_of(
+    kind: str, acting: Any, state: State, named: Mapping[str, Any], ns: Any, air: tuple[Any, Any] | None = None
 ) -> Load:
-    """Return the load [N], [N], [N m] of the actuators and, with the water's velocity through the air, of the wind."""
+    """Return the surge force [N], sway force [N] and yaw moment [N m] of actuators and wind.
+
+    Args:
+        kind: kind of the commands.
+        acting: the two commands, after the lag of the actuators.
+        state: x, y, psi, u, v, r relative to the water.
+        named: values of parameters by name.
+        ns: namespace of the numbers.
+        air: velocity of the water relative to the air [m/s] in the world; None: no wind force.
+    """
     _, _, psi, u, v, r = state
     X, Y, N = acting[0], 0.0, acting[1]
     if kind != "force":
         stern = Stern(*(named.get(name, 0.0) for name in Stern._fields))
         T = thrust(acting[0], u, stern) if kind == "revolutions" else acting[0]
-        X, Y, N = stern_load(T, acting[1], u, v, r, stern, SYMBOLS)
+        X, Y, N = stern_load(T, acting[1], u, v, r, stern, ns)
     if air is not None:
-        air_u, air_v = to_body(*air, SYMBOLS.cos(psi), SYMBOLS.sin(psi))
-        drag = wind_load(u + air_u, v + air_v, WindDrag(*(named[name] for name in WIND_NAMES)), SYMBOLS)
+        air_u, air_v = to_body(*air, ns.cos(psi), ns.sin(psi))
+        drag = wind_load(u + air_u, v + air_v, WindDrag(*(named[name] for name in WIND_NAMES)), ns)
         X, Y, N = X + drag[0], Y + drag[1], N + drag[2]
     return X, Y, N
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the simulator says that the sensors should have seen, and how that depends on everything."""
+    """Predicted measurements of a log, with their derivatives."""
 
-    seen: Array  # as `Log.measured`, shape (T, 6)
-    by_start: Array  # its derivatives by the state at which the segment begins, shape (T, 6, 6)
-    by_value: Array  # its derivatives by the free ones of `LogModel.names`, shape (T, 6, F)
+    outputs: Array  # in the columns of `Log.measured`, shape (T, 6)
+    by_state: Array  # derivatives with respect to the initial state of the segment, shape (T, 6, 6)
+    by_value: Array  # derivatives with respect to the free parameters, shape (T, 6, F)
 
 
 @dataclass(frozen=True)
 class LogModel:
-    """The simulator on a log.
+    """The simulator with the commands of a log.
 
     Args:
-        log: what was measured and commanded.
-        starts: rows at which segments begin, among them those at which runs do, shape (S,).
-        substeps: Runge-Kutta steps from one row to the next.
-        over_ground: whether the speeds u, v are those over ground; else through the water.
+        log: the log with measurements and commands.
+        starts: first rows of the segments, which include the first rows of the runs, shape (S,).
+        substeps: number of Runge-Kutta steps from one row to the next.
+        over_ground: whether the speeds u, v are those over ground; otherwise those through water.
     """
 
     log: Log
@@ -142,67 +160,56 @@ class LogModel:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The names of the P parameters."""
-        return parameter_names(self.log.kind, self.log.wind is not None, len(self.log.starts))
+        return names_of(self.log)
 
-    @cached_property
-    def _places(self) -> tuple[list[int], list[int]]:
-        """Return the places of the parameters that are one for all runs, without the lag, and of the currents."""
-        shared = parameter_names(self.log.kind, self.log.wind is not None, 0)[:-1]
-        currents = range(len(shared), len(self.names) - 1)
-        return list(range(len(shared))), list(currents)
+    def indices(self, names: Sequence[str]) -> Indices:
+        """Return the positions of parameters in `names`."""
+        return np.array([self.names.index(name) for name in names], dtype=np.int64)
 
     def predict(self, values: Array, states: Array, free: Indices) -> Prediction:
-        """Return what the parameters and the segments' first states predict.
+        """Return the predicted measurements for given parameters and initial states.
 
         Args:
-            values: of `names`, shape (P,).
-            states: x, y, psi, u, v relative to the water, r at the segments' starts, shape (S, 6).
-            free: indices of the parameters that it is differentiated by, shape (F,).
+            values: values of the parameters `names`, shape (P,).
+            states: x, y, psi, u, v relative to the water, r at the first rows of the segments, shape (S, 6).
+            free: positions of the parameters for which derivatives are computed, shape (F,).
         """
-        log, T, (shared, currents) = self.log, len(self.log.t), self._places
-        times = np.zeros((T, _TIMES + LOG_STATES))
-        times[:, :2] = log.commands
-        times[:, 2:7] = self._responses(float(values[-1]))
-        times[self.starts, 7] = 1.0
-        times[list(log.starts), 8] = 1.0
-        for run, pair in zip(log.runs, values[currents].reshape(-1, 2), strict=True):
-            times[run, 9:11] = pair
+        log, T = self.log, len(self.log.t)
+        shared = len(parameter_names(log.kind, log.wind is not None, 0)) - 1  # parameters before currents and lag
+        inputs = np.zeros((T, _INPUTS + LOG_STATES))
+        inputs[:, :2] = log.commands
+        inputs[:, 2:7] = self._responses(float(values[-1]))
+        inputs[self.starts, 7] = 1.0
+        inputs[list(log.starts), 8] = 1.0
+        for run, current in zip(log.runs, values[shared:-1].reshape(-1, 2), strict=True):
+            inputs[run, 9:11] = current
         if log.wind is not None:
-            times[:, 11:13] = log.wind
-        times[self.starts, _TIMES:] = states
-        free = np.asarray(free, dtype=np.int64)
-        lanes = [j for j in free if j < len(shared)]
-        ends = LOG_STATES + len(shared)  # of the current, in a seed
-        seed = np.zeros((ends + 3, LOG_STATES + len(lanes) + 3))
-        seed[np.arange(LOG_STATES), np.arange(LOG_STATES)] = 1.0
-        seed[[LOG_STATES + j for j in lanes], LOG_STATES + np.arange(len(lanes))] = 1.0
-        seed[[ends, ends + 1, ends + 2], [-3, -2, -1]] = 1.0
-        n = seed.shape[1]
-        crossed = any(bool(values[j]) or j in lanes for j in range(len(Coefficients._fields), len(COEFFICIENTS)))
-        results = _kernel(log.kind, log.wind is not None, crossed, self.substeps, self.over_ground)(
-            T,
-            plant=np.zeros((_PLANT, n)),
-            tangent=np.zeros((_PLANT, n)),
-            times=np.repeat(times[:, :, None], n, axis=2),
-            values=values[shared],
-            seed=seed,
-        )
+            inputs[:, 11:13] = log.wind
+        inputs[self.starts, _INPUTS:] = states
+        chosen = [j for j in free.tolist() if j < shared]
+        rows = [*range(LOG_STATES), *(LOG_STATES + j for j in chosen), *(LOG_STATES + shared + k for k in range(3))]
+        n = len(rows)  # derivatives by the initial state, the chosen parameters, the current and the lag
+        seed = np.zeros((LOG_STATES + shared + 3, n))
+        seed[rows, np.arange(n)] = 1.0
+        crossed = any(bool(values[j]) or j in chosen for j in range(len(Coefficients._fields), len(COEFFICIENTS)))
+        kernel = _kernel(log.kind, log.wind is not None, crossed, self.substeps, self.over_ground)
+        rest, inputs = np.zeros((_PLANT, n)), np.repeat(inputs[:, :, None], n, axis=2)
+        results = kernel(T, plant=rest, tangent=rest, inputs=inputs, values=values[:shared], seed=seed)
         change = results["change"]
         by_value = np.zeros((T, LOG_STATES, len(free)))
         for i, j in enumerate(free.tolist()):
-            if j < len(shared):
-                by_value[:, :, i] = change[:, :, LOG_STATES + lanes.index(j)]
+            if j < shared:
+                by_value[:, :, i] = change[:, :, LOG_STATES + chosen.index(j)]
             elif j == len(values) - 1:
                 by_value[:, :, i] = change[:, :, -1]
             else:
-                run, axis = divmod(j - len(shared), 2)
+                run, axis = divmod(j - shared, 2)
                 by_value[log.runs[run], :, i] = change[log.runs[run], :, axis - 3]
-        return Prediction(results["seen"][:, :, 0], change[:, :, :LOG_STATES], by_value)
+        return Prediction(results["outputs"][:, :, 0], change[:, :, :LOG_STATES], by_value)
 
     def _responses(self, lag: float) -> Array:
-        """Return time step, gain and mean of the actuators' response, and their slopes by the lag, shape (T, 5)."""
-        steps = self.log.steps
-        h = 1e-5 * self.log.dt
+        """Return time step, gain and mean of the actuators, and derivatives of gain and mean by the lag: (T, 5)."""
+        steps, h = self.log.steps, 1e-5 * self.log.dt
         rows = {}
         for dt in np.unique(steps):
             low, mid, high = (Response.of(x, math.inf, math.inf, dt) for x in (max(lag - h, 0.0), lag, lag + h))

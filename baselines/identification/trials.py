@@ -1,4 +1,4 @@
-"""Manoeuvres that show what a vehicle is: surge steps, zig-zag and turning circle."""
+"""Trials for an identification, with surge steps, zig-zags and a turning circle, and simulated logs of them."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from baselines.identification.log import Log
 
 Segment = tuple[float, float, float, float]
 SEGMENTS: tuple[Segment, ...] = (
-    # end [s], share of the surge limit, share of the yaw limit, heading at which a zig-zag turns back [rad]
-    (1.0, 0.00, 0.00, 0.0),  # at rest: what acts when the log begins must be known
+    # end [s], share of the surge limit, share of the yaw limit, heading at which a zig-zag is reversed [rad]
+    (1.0, 0.00, 0.00, 0.0),  # at rest: the forces at the start of the log must be known
     (6.0, 0.15, 0.00, 0.0),  # surge step
     (24.0, 0.15, 0.15, math.radians(20)),  # zig-zag 20/20
     (36.0, 0.20, 0.15, 0.0),  # turning circle
-    (39.0, 1.25, 0.05, math.radians(10)),  # all that the thruster has, in a narrow zig-zag
-    (42.0, 0.00, -1.25, 0.0),  # all that the rudder has
+    (39.0, 1.25, 0.05, math.radians(10)),  # beyond the limit of the thruster, in a narrow zig-zag
+    (42.0, 0.00, -1.25, 0.0),  # beyond the limit of the rudder
     (53.0, 0.30, 0.40, math.radians(30)),  # zig-zag 30/30, faster
     (60.0, -0.15, 0.10, math.radians(20)),  # astern
 )
-"""The trial of a minute. A zig-zag turns the rudder over whenever the heading has gone so far to that side."""
+"""The trial of one minute. A zig-zag reverses the rudder whenever the heading has changed by the given angle."""
 
-EXAMPLE_CURRENT: CurrentVelocity = (0.12, -0.08)  # [m/s] of an example
-FINER = 5  # steps of the simulated vehicle in a row of the log: more than the fit takes
+EXAMPLE_CURRENT: CurrentVelocity = (0.12, -0.08)  # [m/s] of the example
+FINER = 5  # integration steps of the simulated vehicle per row, more than in the fit
 
 PlantStep = Callable[[State, Force, float], State]
-"""Returns the state one time step later: `plant(state, command, dt)`; what it remembers is its own."""
+"""Function that returns the state one time step later, `plant(state, command, dt)`; it may have internal states."""
 
 
 @dataclass
 class Trial:
-    """Commands of the trial, one after the other; a zig-zag looks at the heading.
+    """Commands of a trial; those of a zig-zag depend on the heading.
 
     Args:
         F_u_max: limit of the surge force [N].
         F_r_max: limit of the yaw moment [N m].
-        duration: of the whole trial [s]; its parts are longer or shorter together.
-        segments: the parts, as `SEGMENTS`; the end of the last one is that of the trial.
+        duration: length of the trial [s], to which its parts are scaled.
+        segments: the parts, in the form of `SEGMENTS`.
     """
 
     F_u_max: float = 400.0
@@ -53,7 +53,7 @@ class Trial:
     duration: float = 60.0
     segments: tuple[Segment, ...] = SEGMENTS
     _part: int = field(default=0, init=False)
-    _about: float = field(default=0.0, init=False)  # [rad] heading at which the part has begun
+    _heading: float = field(default=0.0, init=False)  # [rad] heading at the start of the part
     _side: float = field(default=1.0, init=False)
 
     def command(self, t: float, psi: float) -> Force:
@@ -61,17 +61,20 @@ class Trial:
         scale, last = self.duration / self.segments[-1][0], len(self.segments) - 1
         part = next((i for i, s in enumerate(self.segments) if t < s[0] * scale), last)
         if part != self._part:
-            self._part, self._about, self._side = part, psi, 1.0
+            self._part, self._heading, self._side = part, psi, 1.0
         _, surge, yaw, band = self.segments[part]
-        if band and self._side * (psi - self._about) > band:
+        if band and self._side * (psi - self._heading) > band:
             self._side = -self._side
         return surge * self.F_u_max, self._side * yaw * self.F_r_max
 
 
 class Simulated:
-    """A vehicle of the simulator with its actuators, as a `PlantStep`.
+    """A simulated vehicle with its actuators in a current [m/s], as a `PlantStep`.
 
-    The yaw moment is that of a side force at a distance `arm` [m] behind the origin, or without one.
+    With a finite `arm` [m] the yaw moment is caused by a side force at this distance behind the origin.
+
+    Raises:
+        ValueError: the lag is not a number.
     """
 
     def __init__(
@@ -86,12 +89,11 @@ class Simulated:
     def __call__(self, state: State, command: Force, dt: float) -> State:
         """Return x, y, psi, u, v relative to the water, r after dt [s] of a command [N], [N m]."""
         act, h = self._actuators, dt / FINER
-        limited = tuple(
-            FLOATS.clip(F, -most, most) for F, most in zip(command, (act.F_u_max, act.F_r_max), strict=True)
-        )
+        limits = act.F_u_max, act.F_r_max
+        F_u, F_r = (FLOATS.clip(F, -most, most) for F, most in zip(command, limits, strict=True))
         response = Response.of(self._lag, act.F_u_rate, act.F_r_rate, h)
         for _ in range(FINER):
-            acting, self._force = respond(self._force, (limited[0], limited[1]), response, FLOATS)
+            acting, self._force = respond(self._force, (F_u, F_r), response, FLOATS)
             load = (acting[0], 0.0 - acting[1] / self._arm, acting[1])
             state = rk4_step(state, load, self._vehicle.all_coefficients, h, self._current)
         return state
@@ -105,14 +107,14 @@ def recorded(
     current: CurrentVelocity = STILL_WATER,
     dt: float = 0.1,
 ) -> Log:
-    """Return the log of a trial, which begins at rest in the water.
+    """Return the log of a trial, which starts at rest relative to the water.
 
     Args:
-        plant: what is steered.
-        trial: the commands, which see the measured heading.
-        sensors: the noise of the measurements; the rest of them is left out.
-        rng: draws it.
-        current: that the plant is in [m/s], which speeds over ground contain.
+        plant: the vehicle.
+        trial: the commands, which depend on the measured heading.
+        sensors: the noise of the measurements; other sensor errors are not simulated.
+        rng: of the noise.
+        current: current [m/s] of the plant, which is added to the speeds over ground.
         dt: time [s] between rows.
     """
     t = np.linspace(0.0, trial.duration, round(trial.duration / dt) + 1)
@@ -131,7 +133,6 @@ def recorded(
 def example(
     vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int, current: CurrentVelocity = EXAMPLE_CURRENT
 ) -> Log:
-    """Return the log of a minute's trial of a simulated vehicle with noise, in a current [m/s]."""
+    """Return the log of the trial `SEGMENTS` of a simulated vehicle with noise, in a current [m/s]."""
     trial = Trial(actuators.F_u_max, actuators.F_r_max)
-    plant = Simulated(vehicle, actuators, current)
-    return recorded(plant, trial, sensors, np.random.default_rng(seed), current)
+    return recorded(Simulated(vehicle, actuators, current), trial, sensors, np.random.default_rng(seed), current)

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from baselines.identification import Identified, Log, identify
-from baselines.identification.begin import is_current
 from baselines.identification.columns import Format
 from baselines.identification.held_out import PREDICTORS, HeldOut, held_out, rms
 from baselines.identification.log import joined
-from baselines.identification.model import LogModel
+from baselines.identification.model import is_current, names_of
 from baselines.tools.command_line import UsageError
 
 BIN, BINS = 10.0, 6
@@ -34,7 +33,7 @@ class Vessel:
 
     @property
     def known(self) -> dict[str, float]:
-        """What runs with a rudder do not show: added masses by the rules that `identify` prints."""
+        """Parameters that runs with a rudder do not show: masses and arm by the rules that `identify` prints."""
         m, L = self.mass, self.length
         return {"m11": 1.05 * m, "m22": 1.8 * m, "m33": 0.1 * m * L * L, "arm": 0.5 * L}
 
@@ -63,7 +62,7 @@ def runs_of(name: str, folder: Path) -> dict[str, Log]:
 def fitted(name: str, logs: Sequence[Log]) -> Identified:
     """Return the model that is fitted to some runs of a vessel, in water without a current."""
     log = joined(logs)
-    still = {name: 0.0 for name in LogModel(log, np.array(log.starts)).names if is_current(name)}
+    still = {name: 0.0 for name in names_of(log) if is_current(name)}
     return identify(log, known=VESSELS[name].known | still)
 
 

@@ -133,7 +133,7 @@ def test_a_wrong_format_is_refused(entries, says):
 
 def test_wrong_files_are_refused_in_one_line(log, tmp_path):
     file = written(tmp_path, table(log), heads=[*list(SI)[:-1], "F_u"])
-    with pytest.raises(ValueError, match="there is more than one column 'F_u'; leave one of them out"):
+    with pytest.raises(ValueError, match="there is more than one column 'F_u'; remove all but one"):
         Log.load(file)
     with pytest.raises(ValueError, match="there is more than one column 'F_u' for F_u"):
         Log.load(file, Format({name: name for name in SI if name != "F_r"} | {"F_r": "F_u"}))
@@ -143,7 +143,7 @@ def test_wrong_files_are_refused_in_one_line(log, tmp_path):
         Log.load(written(tmp_path, {n: x[:40] for n, x in table(log).items()}), Format(SI))
     with pytest.raises(ValueError, match=r"unknown format 'none'; allowed are a .toml file, or one of esso-osaka"):
         Format.named("none")
-    with pytest.raises(ValueError, match="logs that are taken together have commands of force, thrust"):
+    with pytest.raises(ValueError, match="the logs have commands of different kinds: force, thrust"):
         joined([log, replace(log, kind="thrust")])
     file.write_text("é" * 100, encoding="utf-8")
     with pytest.raises(ValueError, match="is not text in ascii"):

@@ -15,11 +15,11 @@ from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.identification import Log, identify
 from baselines.identification.columns import Format
 from baselines.identification.command import PROGRAM, main
-from baselines.identification.figures import approach, figures
 from baselines.identification.fit import IDENTIFIED, ZERO
 from baselines.identification.held_out import held_out, section
 from baselines.identification.log import joined
-from baselines.identification.model import LogModel
+from baselines.identification.manoeuvres import approach, characteristics
+from baselines.identification.model import names_of
 from baselines.tools.command_line import run
 
 pytestmark = pytest.mark.slow  # fits of long logs
@@ -74,7 +74,7 @@ def sailed(seed, n, amplitude, band, duration=150.0, dt=0.5):
 
 def still(log):
     """Return that there is no current in a log."""
-    return {name: 0.0 for name in LogModel(log, np.array(log.starts)).names if name.startswith("V_")}
+    return {name: 0.0 for name in names_of(log) if name.startswith("V_")}
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_a_vessel_in_wind_is_found(found):
     for e in shown:
         assert abs(e.value - TRUE.get(e.name, 0.0)) <= 0.25 * abs(TRUE.get(e.name, 0.0)) + 0.1, e
     np.testing.assert_allclose(found.noise, NOISE, rtol=0.1)
-    known = {f.name: f for f in figures(found, approach(found))}
+    known = {c.name: c for c in characteristics(found, approach(found))}
     assert known["advance"].low < known["advance"].value < known["advance"].high
 
 
@@ -117,7 +117,7 @@ def test_held_out_runs_are_predicted_within_the_bands(found):
 def test_what_a_rudder_does_not_show_must_be_known(log):
     with pytest.raises(ValueError, match="does not show m11, m22, m33, arm: give them as known"):
         identify(log)
-    with pytest.raises(ValueError, match="'F_u_max' is no parameter of this log"):
+    with pytest.raises(ValueError, match="'F_u_max' is not a parameter of this log"):
         identify(log, known={"F_u_max": 1.0})
 
 
