@@ -62,7 +62,7 @@ ELSEWHERE = {
     r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
-    r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
+    r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
     r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",

@@ -19,7 +19,6 @@ from baselines.evaluation.request import checked, checked_folder, checked_scenar
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
-from baselines.training.beginning import ALGO, InitialAgent, fitted, in_own_units
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import (
     FINE_TUNING_FILE_NAME,
@@ -28,6 +27,7 @@ from baselines.training.hyperparameters import (
     load_hyperparameters,
     shipped,
 )
+from baselines.training.initial_agent import ALGO, InitialAgent, fitted, in_own_units
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT_FOLDER, LOCK, read_config
 

@@ -36,7 +36,6 @@ from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
-from baselines.training.beginning import ALGO
 from baselines.training.command import train
 from baselines.training.hyperparameters import (
     FINE_TUNING_FILE_NAME,
@@ -44,6 +43,7 @@ from baselines.training.hyperparameters import (
     load_hyperparameters,
     shipped,
 )
+from baselines.training.initial_agent import ALGO
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT_FOLDER
 from research import DOCS

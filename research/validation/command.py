@@ -37,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
     """Measure as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)

@@ -67,7 +67,7 @@ def fitted(name: str, logs: Sequence[Log]) -> Identified:
 
 
 def cross_validated(name: str, folder: Path) -> dict[str, Any]:
-    """Return how well runs are predicted by models that were fitted to the other ones.
+    """Return the prediction errors of a cross-validation over the runs of a vessel.
 
     Args:
         name: of the vessel.

@@ -1,7 +1,8 @@
-"""Count how often the intervals of an identification hold what is true: `python -m research identification-coverage`.
+"""Measure the coverage of the confidence intervals of an identification: `python -m research identification-coverage`.
 
-Logs of a minute are simulated with noise, each with another, and a vehicle is fitted to each. Others are simulated with
-effects that the model does not have: it is counted how often the misfit is reported. docs/identify.md shows the counts.
+A vehicle is fitted to each of many simulated logs of a minute, which differ in their noise. The coverage is the share
+of the intervals that contain the true value. In other logs the vehicle has effects that the model lacks; there the
+reported misfits are counted. docs/identify.md shows the results.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _VEHICLES = {
     "the paper's vehicle": PAPER_VEHICLE,
     "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
 }
-"""Whose logs are simulated."""
+"""The simulated vehicles by name."""
 _ARM = 1.0  # [m]
 _OUTSIDE = {
     "side force of the rudder": Simulated(PAPER_VEHICLE, EXAMPLE, EXAMPLE_CURRENT, _ARM),
@@ -41,28 +42,28 @@ _OUTSIDE = {
         PAPER_VEHICLE, replace(EXAMPLE, F_u_rate=200.0, F_r_rate=100.0), EXAMPLE_CURRENT
     ),
 }
-"""Plants with effects that the model does not have."""
+"""Simulated vehicles with effects that the model lacks, by effect."""
 _SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_TERMS)
-"""Parameters that are counted: what is fitted where the model explains the log."""
-_FILE = "identify.json"  # of what was counted, in docs/
-_NEAR = 0.05  # share of the true value within which a fitted one is near
+"""Names of the counted parameters."""
+_FILE = "identify.json"  # record of the results, in docs/
+_NEAR = 0.05  # largest relative error of a value that counts as near
 
 
 @dataclass(frozen=True)
 class Options:
-    """Count how often the intervals of an identification hold what is true.
+    """Measure the coverage of the confidence intervals of an identification on simulated logs.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     logs: int = 100
-    """Logs of each vehicle; half as many of each effect that the model does not have."""
+    """Number of logs of each vehicle; half as many of each effect that the model lacks."""
     out: Path = DOCS / _FILE
     """File for the counts."""
 
 
 def _counted(name: str, logs: int) -> dict[str, Any]:
-    """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
+    """Return counts, errors and processor time of the identifications of a vehicle from a number of logs."""
     vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
     truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
@@ -98,7 +99,7 @@ def _counted(name: str, logs: int) -> dict[str, Any]:
 
 
 def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
-    """Return in how many logs of a plant that the model does not describe the misfit is reported."""
+    """Return the number of logs of a simulated vehicle, and of those with a reported misfit."""
     sensors, misfit = PRESETS["cruise-noise"].sensors, 0
     for seed in range(logs):
         rng = np.random.default_rng(seed)
@@ -108,7 +109,7 @@ def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
 
 
 def _table(record: Mapping[str, Any]) -> str:
-    """Return the counts of a vehicle as a table in Markdown; errors of what is truly 0 are in SI units."""
+    """Return the counts of a vehicle as a table in Markdown; errors of parameters that are 0 are in SI units."""
     logs = record["logs"]
     lines = [
         f"| parameter | true | in the 95 % interval | in it or within 5 % | median error | worst of {logs} |",
@@ -132,7 +133,7 @@ def coverage_section() -> str:
 
 
 def _of_misfit(records: Mapping[str, Any]) -> str:
-    """Return the part about how often the misfit is reported."""
+    """Return the table of the reported misfits."""
     lines = ["| logs | misfit reported |", "|---|---|"]
     for name, record in records.items():
         lines.append(f"| {name} | {_share([record['misfit']], record['logs'])} |")
@@ -140,7 +141,7 @@ def _of_misfit(records: Mapping[str, Any]) -> str:
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
-    """Return the part about the logs of one vehicle."""
+    """Return the results of a vehicle as text with a table."""
     logs, rows = record["logs"], record["parameters"].values()
     there = [row["near"] for row in rows if row["true"] != 0]
     not_there = [row["near"] for row in rows if row["true"] == 0]
@@ -153,17 +154,17 @@ def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _share(counts: Sequence[int], logs: int) -> str:
-    """Return a count of all numbers in words, with its 95 % interval (Clopper and Pearson 1934)."""
+    """Return a sum of counts as "3 of 10" with the 95 % interval of the share (Clopper and Pearson 1934)."""
     done, of = sum(counts), len(counts) * logs
     low, high = binomtest(done, of).proportion_ci(0.95) if of else (0.0, 1.0)
     return f"{done} of {of} ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Count as the arguments say and return the exit status.
+    """Identify the logs, record the results, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     if options.logs < 1:

@@ -31,7 +31,7 @@ from baselines.tuning.tunables import TUNABLES, Tunable
 PROGRAM = "python -m research gain-exponents"
 _SPEED_RANGE = "cruise"
 _SCENARIO = replace(PRESETS["cruise-storm"], substeps=SUBSTEPS)
-"""What a random vehicle must be able to follow."""
+"""Scenario whose paths a random vehicle must be able to follow."""
 _EPISODES = 8  # of a vehicle in an evaluation, one in each case
 _CHANGE = 0.2  # standard deviation of the changes of the logarithms
 _RATE = 0.03  # learning rate at the start; it decreases linearly to zero
@@ -131,10 +131,10 @@ def checked(name: str, exponents: Array, vehicles: RandomVehicles) -> dict[str, 
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit as the arguments say and return the exit status.
+    """Fit the exponents, record them, and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("controller", [options.name], TUNABLES)

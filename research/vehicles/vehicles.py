@@ -1,9 +1,9 @@
-"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`, docs/vehicle-gains.md.
+"""Compare gains from the vehicle's parameters with searched gains: `python -m research vehicle-gains`.
 
 `search` compares the gains from the parameters with those of a search for the vehicle, and with the gains of the
 paper's vehicle in the vehicle's units, on episodes that the search has not seen. `agent` runs an agent and predictive
 control with the first two. Errors are mean steady-state errors, capped as in the score, as a share of the vehicle's
-length scale.
+length scale. docs/vehicle-gains.md shows the results.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from baselines.tuning.tunables import TUNABLES
 from research import DOCS
 
 PROGRAM = "python -m research vehicle-gains"
-VEHICLES_FILE = "vehicles.json"  # of what was measured, in docs/
+VEHICLES_FILE = "vehicles.json"  # record of the results, in docs/
 _SPEED_RANGE = "cruise"  # that `search` tunes for; vehicles with fins have no other
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
@@ -43,34 +43,34 @@ KINDS = ("units", "parameters", "searched")
 SIDES = ("parameters", "searched", MEASURED_AGENT)
 """The compared policies: predictive control with gains from the parameters and with searched ones, and the agent."""
 NEAR_SEARCHED = 1.2
-"""How many times the error of searched gains that of gains from parameters may be, to be called near."""
+"""Largest error of gains from parameters over that of searched gains that counts as near."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Measure what gains from a vehicle's parameters are worth, and keep it beside what has been measured before.
+    """Compare gains from a vehicle's parameters with searched gains, and add the results to the file.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     what: Annotated[Positional[Literal["search", "agent"]], arg(metavar="search|agent")]
-    """Against a search for the vehicle; or an agent against what a search found for nmpc."""
+    """search: gains from parameters and from a search. agent: an agent and nmpc with the gains of a search."""
     vehicle: UseAppendAction[tuple[str, ...]] = ()
     """A vehicle's name; may be given again. None: all published vehicles."""
     policy: UseAppendAction[tuple[str, ...]] = ()
     """A controller's name; may be given again."""
     held_out: int = 64
-    """Episodes on which is compared, a multiple of 8."""
+    """Number of episodes of the comparison, a multiple of 8."""
     evaluations: int = 108
-    """How often episodes are run to find gains."""
+    """Number of evaluations of a search."""
     episodes: int = 16
-    """Episodes of each such evaluation, a multiple of 8."""
+    """Number of episodes of an evaluation, a multiple of 8."""
     out: Path = DOCS / VEHICLES_FILE
-    """File for what is found."""
+    """File for the results."""
 
 
 def searched(vehicle_model: VehicleModel, name: str, options: Options) -> dict[str, Any]:
-    """Return what a search for the gains of a controller finds, and how the gains from parameters compare."""
+    """Return the result of a search for the gains of a controller, and the errors with gains from parameters."""
     own, tunable = vehicle_model.in_paper_units, TUNABLES[name]
     factory = partial(tunable.factory, vehicle=own.vehicle)
     plain, start = from_parameters(name, own)
@@ -105,8 +105,8 @@ def beside(vehicle_model: VehicleModel, gains: Mapping[str, float], episodes: in
 
     Args:
         vehicle_model: the vehicle.
-        gains: what a search for it has found for predictive control.
-        episodes: how many, those that searches are compared on.
+        gains: those of a search for predictive control.
+        episodes: number of episodes, those of the comparison of searches.
     """
     own, tunable = vehicle_model.in_paper_units, TUNABLES[RIVAL]
     course = TuningEpisodes(_SPEED_RANGE, episodes, VALIDATION_SEED, tunable.world, own)
@@ -137,10 +137,10 @@ def ratio_interval(mine: Array, theirs: Array) -> list[float]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure as the arguments say and return the exit status.
+    """Run the comparison and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     vehicle_models = [known_vehicle_model(name) for name in options.vehicle or vehicle_names()]
@@ -160,7 +160,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _found(record: Mapping[str, Any], vehicle: str) -> Any:
-    """Return what a search for predictive control on a vehicle has found.
+    """Return the recorded result of a search for predictive control on a vehicle.
 
     Raises:
         UsageError: there was none.

@@ -581,7 +581,7 @@ def test_documented_commands_run(page, call, monkeypatch):
     for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         Path(name).write_text(content, encoding="utf-8")
     found = re.findall(r"^(?:python train.py|auv-gym train) ?([^#\n]*)", text, re.MULTILINE)
-    others = ("--from", "--vehicle")  # test_beginning.py
+    others = ("--from", "--vehicle")  # test_initial_agent.py
     lines = [line for line in found if not any(option in line for option in others)]
     assert lines
     for line in lines:

@@ -20,8 +20,8 @@ from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.score import EXPERT, speed_range_of
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.window import Objective
-from baselines.training.beginning import loaded
 from baselines.training.config import Config, check_integer
+from baselines.training.initial_agent import loaded
 from baselines.training.run_folder import VALIDATIONS
 
 PAIR = 2  # consecutive vehicles of the same group, so that groups have equal shares of drawn models

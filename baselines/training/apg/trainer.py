@@ -20,7 +20,7 @@ from baselines.agents.networks import Weights
 from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
-from baselines.training.beginning import loaded
+from baselines.training.initial_agent import loaded
 from baselines.training.run_folder import RunFolder, TrainingError
 
 LOGS = 200  # number of logged updates of a run

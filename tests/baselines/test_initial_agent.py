@@ -28,8 +28,8 @@ from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import ApgTrainer
-from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.hyperparameters import FINE_TUNING_FILE_NAME, TRAINED_ENV, load_hyperparameters, shipped
+from baselines.training.initial_agent import OF_AGENT, fitted, in_own_units
 from baselines.training.options import PROGRAM, main
 from baselines.training.run_folder import RunFolder, read_config, read_progress
 from research.trainings import fine_tuning
@@ -232,7 +232,9 @@ def test_fine_tuning_keeps_agent_and_objective():
 @pytest.mark.parametrize("page", ["fine-tuning", "tutorials/log-to-agent"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""
-    monkeypatch.setattr("baselines.training.beginning.agent_folder", lambda _: Path("runs/train/apg-small-slow/agent"))
+    monkeypatch.setattr(
+        "baselines.training.initial_agent.agent_folder", lambda _: Path("runs/train/apg-small-slow/agent")
+    )
     monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s, _: drawn(replace(s, steps=15), 1, 0))
     tutorial = (ROOT / "docs" / "tutorials" / "log-to-agent.md").read_text(encoding="utf-8")
     Path("vehicle.toml").write_text(
