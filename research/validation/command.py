@@ -34,7 +34,7 @@ class Options:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure as the arguments say and return the exit status.
+    """Compare with the measured runs and return the exit status.
 
     Raises:
         UsageError: the arguments are invalid.

@@ -34,7 +34,6 @@ _SCENARIO = replace(PRESETS["cruise-storm"], substeps=SUBSTEPS)
 """Scenario whose paths a random vehicle must be able to follow."""
 _EPISODES = 8  # of a vehicle in an evaluation, one in each case
 _CHANGE = 0.2  # standard deviation of the changes of the logarithms
-_RATE = 0.03  # learning rate at the start; it decreases linearly to zero
 _DECAY = 0.03  # weight decay
 _STEEPEST = 3.0  # bound of a vehicle's slope, so that one that fails does not count too much
 _CHECK = (64, 100)  # number of vehicles, and index of the set, on which exponents are compared with none
@@ -55,6 +54,8 @@ class Options:
     """Random vehicles of a step."""
     sets: int = 8
     """Sets of vehicles, which the steps use in turn."""
+    rate: float = 0.03
+    """Learning rate at the start; it decreases linearly to zero."""
 
 
 class RandomVehicles:
@@ -88,20 +89,21 @@ def _loss(
     return float(np.log(episodes.run(tunable.factory(gains, vehicle=model.vehicle)).error_m))
 
 
-def fitted(name: str, steps: int, sets: Sequence[RandomVehicles]) -> NDArray[np.float64]:
+def fitted(name: str, steps: int, sets: Sequence[RandomVehicles], rate: float) -> NDArray[np.float64]:
     """Return the exponents of a controller's gains, shape (gains, 2 len(RATIOS)).
 
     Args:
         name: of the controller.
         steps: of the optimiser Adam (D. P. Kingma and J. Ba, arXiv:1412.6980, 2015).
         sets: random vehicles, which the steps use in turn.
+        rate: learning rate at the start; it decreases linearly to zero.
     """
     import torch
 
     tunable, rng = TUNABLES[name], np.random.default_rng(0)
     start = load_gains(name, _SPEED_RANGE, tunable.names)
     exponents = torch.zeros((sets[0].ratios.shape[1], len(start)), dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.Adam([exponents], lr=_RATE, weight_decay=_DECAY)
+    optimiser = torch.optim.Adam([exponents], lr=rate, weight_decay=_DECAY)
     schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, steps)
     for step in range(steps):
         vehicles = sets[step % len(sets)]
@@ -141,8 +143,10 @@ def main(arguments: Sequence[str]) -> int:
     for word in ("steps", "vehicles", "sets"):
         if getattr(options, word) < 1:
             raise UsageError(f"--{word} is {getattr(options, word)}; it must be at least 1")
+    if not 0 < options.rate <= 1:
+        raise UsageError(f"--rate is {options.rate}; it must be in (0, 1]")
     sets = [RandomVehicles(options.vehicles, index) for index in range(options.sets)]
-    exponents = fitted(options.name, options.steps, sets).round(3)
+    exponents = fitted(options.name, options.steps, sets, options.rate).round(3)
     entry = {
         "command": typed(PROGRAM, arguments),
         "check": checked(options.name, exponents, RandomVehicles(*_CHECK)),

@@ -151,7 +151,7 @@ class Quadratic:
 def test_the_fit_finds_the_exponents_of_a_known_optimum(monkeypatch):
     monkeypatch.setattr(exponents, "_DECAY", 0.0)
     best = np.random.default_rng(1).uniform(-0.5, 0.5, (12, len(TUNABLES["backstepping-tuned"].names)))
-    found = exponents.fitted("backstepping-tuned", 200, [Quadratic(seed, best) for seed in range(3)])
+    found = exponents.fitted("backstepping-tuned", 200, [Quadratic(seed, best) for seed in range(3)], 0.03)
     assert np.abs(found.T - best).max() < 0.1
 
 
