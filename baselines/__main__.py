@@ -27,8 +27,8 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "evaluate": Command("baselines.evaluation.options", "eval"),
-    "train": Command("baselines.training.options", "train"),
+    "evaluate": Command("baselines.evaluation.entry", "eval"),
+    "train": Command("baselines.training.entry", "train"),
     "tune": Command("baselines.tuning.command", "tuning"),
     "identify": Command("baselines.identification.command", "eval"),
     "export": Command("baselines.export.command", "export"),

@@ -17,7 +17,7 @@ from built_pages import check_links, check_pages, check_search, check_sorting
 
 from auv_gym.scenarios.presets import PRESETS
 from baselines.agents.names import agent_folder
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.presets import PRESETS
 from baselines import POLICIES, list_policies
 from baselines.agents.names import agent_folder
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 

@@ -1,11 +1,7 @@
-"""Score controllers and agents: `auv-gym evaluate --help`, in a checkout also `python evaluate.py --help`.
-
-Each field of `Options` is an option, and its docstring is the help text.
-"""
+"""The options of evaluate.py: each field is an option, and its docstring is the help text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +9,6 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, arg
 
 from baselines.evaluation.about import NOTHING, About
-from baselines.tools.command_line import parse, typed
-
-PROGRAM = "evaluate.py"
 
 
 @dataclass(frozen=True)
@@ -57,16 +50,3 @@ class Options:
     resume: bool = False
     """Use the finished runs of an interrupted evaluation in the folder. A run is repeated if the policy's file or the
     simulator has changed since, or if it was too slow for --step-limit."""
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run an evaluation and return the exit status.
-
-    Raises:
-        UsageError: the arguments are wrong.
-    """
-    options, command = parse(Options, arguments, PROGRAM), typed(PROGRAM, arguments)
-    from baselines.evaluation.command import evaluate
-    from baselines.evaluation.request import Request
-
-    return evaluate(Request.of(options, command))

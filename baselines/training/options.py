@@ -1,18 +1,12 @@
-"""Train agents that correct an expert: `auv-gym train --help`, in a checkout also `python train.py --help`.
-
-Each field of `Options` is an option, and its docstring is the help text.
-"""
+"""The options of train.py: each field is an option, and its docstring is the help text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
-
-from baselines.tools.command_line import parse, typed
 
 PROGRAM = "train.py"
 
@@ -62,17 +56,3 @@ class Options:
     runs/train/AGENT-SCENARIO-VEHICLE with --from."""
     resume: bool = False
     """Continue the run that the same options have started in the folder, from its last checkpoint."""
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run the command and return its exit status.
-
-    Raises:
-        ModuleNotFoundError: a library for training is not installed.
-        UsageError: an argument is wrong.
-    """
-    options = parse(Options, arguments, PROGRAM)
-    from baselines.training.command import train
-    from baselines.training.request import Request
-
-    return train(Request.of(options, typed(PROGRAM, arguments)))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 from research import DOCS

@@ -63,8 +63,7 @@ _DISTURBED = tuple(case for case in CASES if case != "calm")
 class Options:
     """Fine-tune an agent to vehicles and compare it with the agent and with controllers on held-out episodes.
 
-    Rows in the file are not measured again. If the agent or the code that runs it has changed, the rows of the
-    agent and of the agents tuned from it are. Interrupted trainings continue.
+    Rows in the file are not measured again, unless the policy has changed. Interrupted trainings continue.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
@@ -119,52 +118,49 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     check_words("vehicle", options.vehicle, vehicle_names())
     check_words("agent", [options.agent], SHIPPED_TRAININGS)
+    if not fingerprint(options.agent):
+        raise UsageError(f"--agent {options.agent} is not installed: python -m research train-all --install trains it")
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or _compared(options.agent)
-    record = still_valid(options, shipped_fingerprint(options.agent))
+    record = still_valid(options)
     status = DONE
     for vehicle in options.vehicle:
         kept = record["vehicles"].setdefault(vehicle, {})
         for name in names:
             if name not in kept:
-                found = _measured(name, vehicle, options, record["fingerprint"])
+                found = _measured(name, vehicle, options)
                 if own := found.pop("status", DONE):
                     status = max(status, own)
                     continue
-                kept[name] = found
+                kept[name] = found | {"fingerprint": row_fingerprint(name, options.agent)}
                 write_atomically(options.out, json_text(record))
                 print(f"{vehicle}: {name}", flush=True)
     return status
 
 
-def shipped_fingerprint(agent: str) -> str:
-    """Return the fingerprint of an agent that ships.
-
-    Raises:
-        UsageError: the agent is not installed.
-    """
-    if not (found := fingerprint(agent)):
-        raise UsageError(f"--agent {agent} is not installed: python -m research train-all {agent} --install trains it")
-    return found
-
-
-def still_valid(options: Options, own: str) -> dict[str, Any]:
+def still_valid(options: Options) -> dict[str, Any]:
     """Return the record of a file, without the rows that are out of date.
 
-    If the agent or the number of episodes differs, no row stays. If its fingerprint is not `own`, its rows and those
-    of the agents tuned from it go. Rows of agents tuned by another `recipe` go.
+    A row is out of date if its policy has another `row_fingerprint`, or if it was tuned by another `recipe`. If the
+    agent or the number of episodes differs, no row stays.
     """
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
-        return {"agent": options.agent, "fingerprint": own, "episodes": options.episodes, "vehicles": {}}
-    stale = (options.agent, TUNED) if record.get("fingerprint") != own else ()
+        return {"agent": options.agent, "episodes": options.episodes, "vehicles": {}}
     chosen = recipe(options.timesteps)
     for vehicle, found in record["vehicles"].items():
         record["vehicles"][vehicle] = {
-            name: row for name, row in found.items() if name not in stale and row.get("set", chosen) == chosen
+            name: row
+            for name, row in found.items()
+            if row.get("fingerprint") == row_fingerprint(name, options.agent) and row.get("set", chosen) == chosen
         }
-    return {**record, "fingerprint": own}
+    return record
+
+
+def row_fingerprint(name: str, agent: str) -> str:
+    """Return the fingerprint of a policy; for `TUNED` that of the agent that is tuned."""
+    return fingerprint(agent if name == TUNED else name)
 
 
 def _compared(agent: str) -> tuple[str, ...]:
@@ -172,12 +168,12 @@ def _compared(agent: str) -> tuple[str, ...]:
     return *CONTROLLERS, agent, TUNED
 
 
-def _measured(name: str, vehicle: str, options: Options, own: str) -> dict[str, Any]:
+def _measured(name: str, vehicle: str, options: Options) -> dict[str, Any]:
     """Return the row of a policy, which is trained first if necessary; {"status": ...} if its training failed."""
     if name != TUNED:
         return errors(name, vehicle, options.episodes)
     # A fine-tuning that started from another agent must not be resumed.
-    folder, begin = options.runs / f"{vehicle}-{own[:8]}", time.monotonic()
+    folder, begin = options.runs / f"{vehicle}-{fingerprint(options.agent)[:8]}", time.monotonic()
     resumed = folder.exists()
     training = replace(Training(), from_=options.agent, vehicle=vehicle, timesteps=options.timesteps)
     if status := train(request_of(training, folder, DEFAULT_JOBS)):

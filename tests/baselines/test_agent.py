@@ -24,7 +24,7 @@ from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import ERROR_FEATURES, FEATURES, Inputs
 from baselines.agents.networks import Gru, Lstm, Mlp, network_of, network_record
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)

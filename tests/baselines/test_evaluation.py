@@ -19,8 +19,8 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
+from baselines.evaluation import entry as evaluation
 from baselines.evaluation import metrics, recorded
-from baselines.evaluation import options as evaluation
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare
@@ -630,7 +630,7 @@ def test_table_fits_a_narrow_terminal(capsys):
 
 def test_no_torch_is_imported():
     code = (
-        "import sys, baselines.evaluation.options, baselines.evaluation.command, baselines.tools.figure_style\n"
+        "import sys, baselines.evaluation.entry, baselines.evaluation.command, baselines.tools.figure_style\n"
         "sys.exit(not {'torch', 'pygame', 'matplotlib', 'jinja2', 'vl_convert'}.isdisjoint(sys.modules))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=SCRIPT.parent, check=True)

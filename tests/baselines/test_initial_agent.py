@@ -277,31 +277,36 @@ def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == ""  # all is there
 
 
-def test_rows_of_an_agent_with_another_fingerprint_are_ignored(tmp_path):
-    rows = {name: {"steady_rmses": [[1.0]], "failed": 0} for name in ("helm", "backstepping", "tuned")}
-    options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
-    record = {"agent": "helm", "fingerprint": "old", "episodes": 1, "vehicles": {"otter": rows}}
-    options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert fine_tuning.still_valid(options, "old") == record
-    found = fine_tuning.still_valid(options, "new")
-    assert found["fingerprint"] == "new"
-    assert set(found["vehicles"]["otter"]) == {"backstepping"}
-    rows["tuned"]["set"] = ["another"]
-    options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == {"helm", "backstepping"}
+def test_rows_of_changed_policies_are_ignored(tmp_path, monkeypatch):
+    prints = {"helm": "of helm", "backstepping": "of the law"}
+    monkeypatch.setattr(fine_tuning, "fingerprint", prints.get)
+    rows = {
+        name: {"steady_rmses": [[1.0]], "failed": 0, "fingerprint": fine_tuning.row_fingerprint(name, "helm")}
+        for name in ("helm", "backstepping", "tuned")
+    }
     rows["tuned"]["set"] = fine_tuning.recipe()
+    options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
+    record = {"agent": "helm", "episodes": 1, "vehicles": {"otter": rows}}
     options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert fine_tuning.still_valid(options, "old") == record
-    tried = fine_tuning.still_valid(replace(options, timesteps=40), "old")
-    assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
-    assert fine_tuning.still_valid(replace(options, episodes=2), "old")["vehicles"] == {}
+
+    def valid(options):
+        return set(fine_tuning.still_valid(options)["vehicles"].get("otter", ()))
+
+    assert fine_tuning.still_valid(options) == record
+    assert valid(replace(options, timesteps=40)) == {"helm", "backstepping"}
+    assert valid(replace(options, episodes=2)) == set()
+    prints["helm"] = "new"
+    assert valid(options) == {"backstepping"}
+    prints["backstepping"] = "new"
+    assert valid(options) == set()
 
 
-def test_the_page_shows_the_shipped_agent():
-    """And it is tuned as the hyper-parameters say."""
+def test_the_page_shows_the_present_policies():
+    """The agents are tuned as the hyper-parameters say."""
     kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
     assert {tuple(found["tuned"]["set"]) for found in kept["vehicles"].values()} == {tuple(fine_tuning.recipe())}
-    assert kept["fingerprint"] == fine_tuning.shipped_fingerprint(kept["agent"]), "run python -m research fine-tuning"
+    for name, row in ((name, row) for found in kept["vehicles"].values() for name, row in found.items()):
+        assert row["fingerprint"] == fine_tuning.row_fingerprint(name, kept["agent"]), "run research fine-tuning"
 
 
 def test_the_readme_compares_tuned_agents_with_the_best_controllers():

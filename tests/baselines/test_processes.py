@@ -85,7 +85,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="lo
 TERMINAL = "SIGINT to all"
 """What a terminal sends when Ctrl-C is pressed."""
 ENDS = [("evaluate.py", end) for end in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL, TERMINAL)]
-"""One way to end is enough of each kind for the other program: signals and workers are in rooms that both share."""
+"""For the other program one way to end of each kind is enough: signals and workers are code that both share."""
 PROCESSES = 5  # the first, its two workers, and two that clean up behind it
 
 

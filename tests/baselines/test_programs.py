@@ -25,7 +25,7 @@ from baselines import make_policy
 from baselines.agents import programs
 from baselines.agents.names import agent_folder, is_path
 from baselines.agents.programs import ProgramError, ProgramPolicy
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.evaluation import rollout as rollout_module
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import PolicyError, Stopwatch, make_env, rollout

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.evaluation import recorded, request, suites
 from baselines.evaluation.about import About
 from baselines.evaluation.fingerprints import fingerprint

@@ -21,7 +21,7 @@ from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request

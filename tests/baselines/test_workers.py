@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from baselines.evaluation import options as evaluation
+from baselines.evaluation import entry as evaluation
 from baselines.tools.command_line import run
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 
