@@ -28,9 +28,10 @@ from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import ApgTrainer
+from baselines.training.entry import main
 from baselines.training.hyperparameters import FINE_TUNING_FILE_NAME, TRAINED_ENV, load_hyperparameters, shipped
 from baselines.training.initial_agent import OF_AGENT, fitted, in_own_units
-from baselines.training.options import PROGRAM, main
+from baselines.training.options import PROGRAM
 from baselines.training.run_folder import RunFolder, read_config, read_progress
 from research.trainings import fine_tuning
 

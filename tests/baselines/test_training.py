@@ -32,9 +32,10 @@ from baselines.tools.command_line import UsageError, parse, run
 from baselines.tools.seeds import TRAINING
 from baselines.training import command, request
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
+from baselines.training.entry import main
 from baselines.training.hyperparameters import TRAINED_ENV, changes_of, hyperparameter_words, load_hyperparameters
 from baselines.training.hyperparameters import shipped as shipped_file
-from baselines.training.options import PROGRAM, Options, main
+from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
 from baselines.training.run_folder import AGENT_FOLDER, RunFolder, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
