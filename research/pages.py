@@ -18,7 +18,8 @@ from typing import Annotated, Any
 import jinja2
 from tyro.conf import Positional, arg
 
-from baselines.tools.command_line import DONE, FAILED, check_words, parse
+from baselines.evaluation.suites import SuiteError
+from baselines.tools.command_line import DONE, FAILED, UsageError, check_words, parse
 from baselines.tools.files import write_atomically
 from research import DOCS
 
@@ -145,13 +146,16 @@ def main(arguments: Sequence[str]) -> int:
     """Write or check the pages and return the exit status.
 
     Raises:
-        UsageError: the arguments are invalid.
+        UsageError: the arguments are invalid, or recorded results are missing or outdated.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("page", options.page, (*PAGES, *PARTS))
     stale = []
     for page in options.page or (*PAGES, *PARTS):
-        text, file = render(page), options.out / f"{page}.md"
+        try:
+            text, file = render(page), options.out / f"{page}.md"
+        except SuiteError as error:
+            raise UsageError(f"page {page} cannot be made: {error}; python -m research suites --help") from error
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             stale.append(page)
             if not options.check:

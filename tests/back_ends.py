@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 
-def assert_equals_scalars(env, scalars, steps, *, scale=0.6, seed=10, atol=1e-10):
-    """Compare both for the same actions, also after autoresets; return the number of ended episodes."""
+def assert_equals_scalars(env, scalars, steps, *, scale=0.6, seed=10, atol=1e-10, attributes=()):
+    """Compare both for the same actions, also after autoresets; return the number of ended episodes.
+
+    `attributes` of the environments are compared in each step, too.
+    """
     observation, info = env.reset(seed=seed)
     converted = np.asarray
     if not isinstance(observation, np.ndarray):
@@ -24,10 +27,13 @@ def assert_equals_scalars(env, scalars, steps, *, scale=0.6, seed=10, atol=1e-10
             if t or u:
                 ends += 1
                 np.testing.assert_allclose(np.asarray(info["final_obs"][i]), last, rtol=0, atol=atol)
-                for key, value in last_info.items() if "final_info" in info else ():
-                    assert info["final_info"][key][i] == pytest.approx(value, abs=atol)
+                for key, value in last_info.items():
+                    assert np.asarray(info["final_info"][key])[i] == pytest.approx(value, abs=atol)
                 last, last_info = scalar.reset()
             np.testing.assert_allclose(np.asarray(observation[i]), last, rtol=0, atol=atol)
             for key, value in last_info.items():
                 assert np.asarray(info[key])[i] == pytest.approx(value, abs=atol)
+        for name in attributes:
+            own = [getattr(scalar.unwrapped, name) for scalar in scalars]
+            np.testing.assert_allclose(getattr(env.unwrapped, name), own, rtol=0, atol=atol)
     return ends

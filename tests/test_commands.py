@@ -56,6 +56,7 @@ ELSEWHERE = {
     r"python -m research falsification .*": "test_safety.py::test_search_writes_a_scenario_in_which_the_policy_fails",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
+    r"python -m research suites record .* --held-out .*": "test_held_out.py::test_the_command_keeps_rows",
     r"python -m research suites check .*": "test_suites.py::test_generated_episodes_are_unchanged",
     r"python -m research validation .*": "test_validation.py::test_the_command_writes_what_it_measures",
     r"python -m research transfer .*": "test_transfer.py::test_the_command_compares_and_keeps",

@@ -269,9 +269,9 @@ def section(result: HeldOut, name: str) -> str:
         names = ("along", "across", "heading", "u", "v", "r")
         shares = ", ".join(f"{n} {100 * c:.0f} %" for n, c in zip(names, result.inside.mean(axis=0), strict=True))
         parts.append(
-            "The error bands contain 95 % of the errors of a cross-validation: parts of the other logs are predicted "
-            "by models that are fitted without that part. The bands are widened by Student's t for the number of runs. "
-            f"Inside the bands: {shares} of the predictions above."
+            "The error bands contain 95 % of the errors of a cross-validation: each part of the other logs is "
+            "predicted by a model that is fitted without it. The bands are widened by Student's t for the number of "
+            f"runs. Inside the bands: {shares} of the predictions above."
         )
     if result.manoeuvres:
         rows = ["| run | characteristic | measured | predicted |", "|--:|---|--:|--:|"]

@@ -42,7 +42,7 @@ PROGRAM = "auv-gym tune"
 class Options:
     """Tune the gains of a controller and write them to baselines/gains/NAME-SPEED_RANGE.json, with their provenance.
 
-    The search starts at the entry "start" of that file, or at its gains. With a price the gains are written to
+    The search starts at the entry "start" of that file. With a price it starts at the entry "gains", and writes to
     runs/tune/NAME-SPEED_RANGE-PRICE.json.
     For another vehicle the search starts at the shipped gains, in the units of the vehicle, and writes to
     runs/tune/NAME-SPEED_RANGE@VEHICLE.json. Use these gains with make_policy(NAME, vehicle=..., gains=...).

@@ -11,7 +11,7 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, score, speed_range_of
-from baselines.evaluation.suites import Suite
+from baselines.evaluation.suites import Suite, SuiteError
 
 TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
 """Difference of mean errors [m] by which another policy may be better than the oracle in a case, by suite. If a current
@@ -83,10 +83,11 @@ def results_of(name: str) -> Results:
     """Return the recorded results of a suite.
 
     Raises:
-        ValueError: the rows of its anchors are missing, or of other code than the present one.
+        SuiteError: the rows of its anchors are missing, or of other code than the present one.
     """
     suite = suites.load_suite(name)
     found = recorded.load_recorded(suite)
     if missing := sorted({*suite.anchors} - {run.policy for run in found.runs}):
-        raise ValueError(f"{name} has no valid rows of {', '.join(missing)}: python -m research suites record {name}")
+        reasons = "; ".join(found.refused.get(policy, f"{policy} is not recorded") for policy in missing)
+        raise SuiteError(f"{name} has no valid rows of {', '.join(missing)}: {reasons}")
     return Results.of(suite, found.runs)

@@ -23,7 +23,7 @@ from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import failure_bound
-from baselines.evaluation.request import checked_policies, checked_scenario
+from baselines.evaluation.request import checked_folder, checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import count_failures, error_cap
@@ -115,6 +115,7 @@ def main(arguments: Sequence[str]) -> int:
         most = FAILURE_RATE.end - FAILURE_RATE.first
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     policies = checked_policies(options.policy)
+    checked_folder(options.out.parent)
     failure_counts(options.out)
     try:
         for policy in policies:

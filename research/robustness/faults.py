@@ -15,7 +15,7 @@ from tyro.conf import arg
 from baselines.agents.names import CHECKED, GUARD
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.progress import run_and_show
-from baselines.evaluation.request import checked_policies
+from baselines.evaluation.request import checked_folder, checked_policies
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
 from baselines.evaluation.suites import load_suite
@@ -72,6 +72,7 @@ def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     own = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in cells]
+    checked_folder(options.out.parent)
     for policy in checked_policies(policies):
         runs = run_and_show([(policy, cell) for cell in own], Workers(options.jobs))
         add_rows(options.out, policy, fingerprint(policy), {run.scenario.name: _row(run) for run in runs})

@@ -18,7 +18,7 @@ from auv_gym.physics.namespaces import Array
 from baselines.agents.names import GUARD
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.request import checked_policies
+from baselines.evaluation.request import checked_folder, checked_policies
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import EXPERT, capped, error_cap, has_failed
 from baselines.evaluation.side_by_side import SideBySide
@@ -105,6 +105,7 @@ def main(arguments: Sequence[str]) -> int:
     check_words("suite", options.suite, _SUITES)
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
+    checked_folder(options.out.parent)
     policies = checked_policies(options.policy)
     for policy in policies:
         for name in options.suite:

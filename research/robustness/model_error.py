@@ -28,6 +28,7 @@ from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation import recorded
+from baselines.evaluation.request import checked_folder
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import (
@@ -231,6 +232,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"{privileged[0]} uses more than the observation, so it has no wrong model; leave it out")
     if options.episodes is not None and options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more, since intervals are over episodes")
+    checked_folder(options.out)
     for name in options.policy:
         file = options.out / f"{Path(name).name}.json"
         record = read_json(file) if file.exists() else {}

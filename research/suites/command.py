@@ -76,6 +76,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
     if options.held_out and (options.action != "record" or not {*options.name} <= {*held_out.HELD_OUT_EPISODES}):
         raise UsageError(f"--held-out is for record of {' and '.join(held_out.HELD_OUT_EPISODES)}")
+    if options.held_out and options.episodes is not None:
+        raise UsageError("--held-out excludes --episodes: all its episodes are recorded")
     if (options.secret is None) == (options.action == "open"):
         raise UsageError("open needs --secret WORDS, as seal has printed it; no other action takes it")
     actions = {

@@ -119,7 +119,8 @@ def main(arguments: Sequence[str]) -> int:
     check_words("vehicle", options.vehicle, vehicle_names())
     check_words("agent", [options.agent], SHIPPED_TRAININGS)
     if not fingerprint(options.agent):
-        raise UsageError(f"--agent {options.agent} is not installed: python -m research train-all --install trains it")
+        train = f"python -m research train-all {options.agent} --install"
+        raise UsageError(f"--agent {options.agent} is not installed: {train} trains it")
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or _compared(options.agent)

@@ -19,7 +19,7 @@ from research.transfer.simulators import SixDofSimulator
 from research.transfer.six_dof import Deviation, Inputs
 
 SimulatorFactory = Callable[[int], SixDofSimulator]
-"""Returns a simulator with N vehicles; any class with the methods of `SixDofSimulator` will do."""
+"""Returns a simulator with N vehicles."""
 
 
 def deviation(true: Coefficients, known: Coefficients) -> Deviation:

@@ -19,6 +19,7 @@ from scipy.stats import binomtest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
+from baselines.evaluation.request import checked_folder
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
@@ -169,6 +170,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.logs < 1:
         raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
+    checked_folder(options.out.parent)
     records: dict[str, Any] = {}
     for name in _VEHICLES:
         records[name] = _counted(name, options.logs)

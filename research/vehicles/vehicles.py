@@ -149,9 +149,11 @@ def main(arguments: Sequence[str]) -> int:
     for vehicle_model in vehicle_models:
         if options.what == "agent":
             gains = _found(record, vehicle_model.name)["gains"]
-            record.setdefault("agent", {})[vehicle_model.name] = beside(vehicle_model, gains, options.held_out)
+            record.setdefault("agent", {})[vehicle_model.name] = both = beside(vehicle_model, gains, options.held_out)
+            print(vehicle_model.name, "failures", both["failed"], flush=True)
             write_atomically(options.out, json_text(record))
-        for name in (options.policy or SEARCHED) if options.what == "search" else ():
+            continue
+        for name in options.policy or SEARCHED:
             found = record.setdefault("search", {}).setdefault(vehicle_model.name, {})
             found[name] = searched(vehicle_model, name, options)
             print(vehicle_model.name, name, json_text(found[name]), flush=True)

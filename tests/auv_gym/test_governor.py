@@ -196,8 +196,8 @@ def test_episodes_differ_from_those_without_a_governor_by_their_pace_only():
 
 def test_single_and_vector_environments_agree():
     scenario = replace(as_scenario("cruise-storm@eca-a9"), governor=Governor(), steps=40)
-    vector = UnderactuatedAUVTrackVectorEnv(num_envs=4, scenario=scenario, preview=(5, 20))
-    scalars = [UnderactuatedAUVTrackEnv(scenario, preview=(5, 20)) for _ in range(4)]
+    vector = UnderactuatedAUVTrackVectorEnv(num_envs=20, scenario=scenario, preview=(5, 20))
+    scalars = [UnderactuatedAUVTrackEnv(scenario, preview=(5, 20)) for _ in range(20)]
     assert_equals_scalars(vector, scalars, 39, scale=0.5, seed=3)
 
 

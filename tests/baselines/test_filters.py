@@ -92,14 +92,14 @@ def spread(A, H, Q, R, K):
 
 @pytest.mark.parametrize("name", vehicle_names())
 def test_errors_of_the_gains_for_other_vehicles(name):
-    """Errors of position, heading and velocity beside those of a filter with gains of the hull's own."""
-    hull = vehicle_model(name).in_paper_units
+    """Errors of position, heading and velocity relative to those of a filter with gains for the vehicle."""
+    model = vehicle_model(name).in_paper_units
     worst = np.zeros(6)
-    for speed in (0.5, 1.5) if hull.slowest else (0.2, 0.5, 1.5):
-        drags = dict(zip(("d11", "d22", "d33"), hull.drag(speed), strict=True))  # what the sea's loads are scaled by
+    for speed in (0.5, 1.5) if model.slowest else (0.2, 0.5, 1.5):
+        drags = dict(zip(("d11", "d22", "d33"), model.drag(speed), strict=True))  # scales of the disturbances
         for kind, (tuning, lag) in enumerate(KINDS):
-            A, H, _, R = filter_gains.problem(speed, lag, tuning, hull.vehicle)
-            Q = filter_gains.problem(speed, lag, tuning, replace(hull.vehicle, **drags))[2]
+            A, H, _, R = filter_gains.problem(speed, lag, tuning, model.vehicle)
+            Q = filter_gains.problem(speed, lag, tuning, replace(model.vehicle, **drags))[2]
             P = solve_discrete_are(A.T, H.T, Q, R)
             own = np.linalg.solve(H @ P @ H.T + R, H @ P).T
             theirs = np.delete(tabled(kind, speed), PLACE.lag, axis=0)

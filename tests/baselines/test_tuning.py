@@ -135,7 +135,7 @@ def test_all_controllers_have_the_same_budget():
     )
 
 
-def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monkeypatch):
+def test_file_holds_gains_and_provenance_and_is_a_start(folder, capsys, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
     file, names = folder / "integral-slow.json", PRINTED_GAINS
     before = json.loads(file.read_text())

@@ -45,7 +45,7 @@ def test_recorded_rows_are_reproduced(results_of_all, policy):
     np.testing.assert_allclose(again.measures.steady_rmse, kept.measures.steady_rmse[:2], rtol=1e-4)
 
 
-def test_the_command_keeps_rows_of_held_out_episodes(tmp_path, monkeypatch):
+def test_the_command_keeps_rows(tmp_path, monkeypatch):
     monkeypatch.setattr(held_out, "HELD_OUT_FOLDER", tmp_path)
     monkeypatch.setattr(held_out, "HELD_OUT_EPISODES", {"benchmark-v2": 2})
     assert command.main(["record", "benchmark-v2", "--held-out", "--policy", "open-loop"]) == 0
@@ -55,6 +55,8 @@ def test_the_command_keeps_rows_of_held_out_episodes(tmp_path, monkeypatch):
     assert recorded.load_recorded(held_out.held_out("benchmark-v2"), tmp_path).refused
     with pytest.raises(UsageError, match="--held-out is for record of benchmark-v2"):
         command.main(["record", "ood-v1", "--held-out"])
+    with pytest.raises(UsageError, match="--held-out excludes --episodes"):
+        command.main(["record", "benchmark-v2", "--held-out", "--episodes", "1"])
 
 
 def test_the_sentences_of_the_page_and_of_the_readme_are_true():

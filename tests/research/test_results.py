@@ -148,7 +148,7 @@ def test_a_suite_without_the_oracle_is_refused(monkeypatch):
     whole = collection.recorded.load_recorded(collection.suites.load_suite("benchmark-v1"))
     few = replace(whole, runs=tuple(run for run in whole.runs if run.policy != "oracle"))
     monkeypatch.setattr(collection.recorded, "load_recorded", lambda _: few)
-    with pytest.raises(ValueError, match="benchmark-v1 has no valid rows of oracle: python -m research suites record"):
+    with pytest.raises(collection.SuiteError, match="benchmark-v1 has no valid rows of oracle: oracle is not recorded"):
         results_of("benchmark-v1")
 
 

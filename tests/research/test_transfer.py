@@ -94,7 +94,7 @@ def test_inner_loops_give_the_commanded_force():
 
 
 class PlanarSimulator:
-    """A `Simulator` with the planar equations of motion, for which the adapter must not change the results."""
+    """A simulator with the planar equations of motion, for which the adapter must not change the results."""
 
     def __init__(self, known, substeps):
         self.known, self.substeps = known, substeps

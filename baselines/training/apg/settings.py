@@ -147,9 +147,8 @@ def check(config: Config) -> Settings:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
     if config.origin:
         agent = loaded(config.origin)
-        inputs = replace(
-            settings.inputs, nominal_vehicle=settings.nominal_vehicle and agent.inputs.nominal_vehicle
-        )  # vehicle inputs can be added
+        known = settings.nominal_vehicle and agent.inputs.nominal_vehicle  # these inputs can be added
+        inputs = replace(settings.inputs, nominal_vehicle=known)
         sizes = replace(settings.network, inputs=agent.network.inputs)
         if inputs != agent.inputs or sizes != agent.network:
             raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than the settings")

@@ -47,9 +47,7 @@ class Objective:
 
     loss: Loss  # of a control step; its weights may have shape (N,)
     shares: AnyArray | None = None  # weight of each vehicle in the mean loss, shape (N,); None: equal
-    derivative_bound: float = (
-        0.0  # bound of a vehicle's derivatives in the backward pass, in medians over vehicles; 0: no bound
-    )
+    derivative_bound: float = 0.0  # of a vehicle in the backward pass, in medians over vehicles; 0: no bound
     error_exponent: float = 0.0  # see `divided_by_error`
 
     def of(self, vehicles: NDArray[np.int64]) -> Objective:
