@@ -108,7 +108,6 @@ def main(arguments: Sequence[str]) -> int:
         print(MISFIT)
     for row in rows(found):
         print("  ".join(row))
-    options.out.mkdir(parents=True, exist_ok=True)
     vehicle, note = _vehicle(found, like)
     actuators = None
     if options.like is not None:

@@ -112,7 +112,6 @@ class RunFolder:
         for file in folder.glob(".*.tmp"):  # of a run that was killed
             file.unlink()
         if (there := read_config(folder)) is None:
-            folder.mkdir(parents=True, exist_ok=True)
             write_atomically(folder / CONFIG, json_text(config.to_dict()))
         elif there.to_dict() != config.to_dict():
             raise TrainingError(f"{folder} holds another training; choose another folder")

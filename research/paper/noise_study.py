@@ -19,7 +19,7 @@ HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate
 VELOCITY_NOISE = 0.01  # [m/s]
 CUT_OFFS: tuple[float | None, ...] = (None, 1.0, 0.5, 0.3)  # [Hz] of the low-pass filter; None: no filter
 _SEEDS = tuple(range(6))  # seeds of the sensor noise
-TRANSIENT = 400  # control steps [0.1 s] left out at the start: eight time constants of the slowest eigenvalue
+_TRANSIENT = 400  # control steps [0.1 s] left out at the start: eight time constants of the slowest eigenvalue
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def noise_study() -> list[NoiseRun]:
         scenario = noise_scenario(cut_off)
         episodes = [drawn(scenario, 1, seed).episodes[0] for seed in _SEEDS]
         begun = beginning([(scenario, episodes)], ())
-        moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[TRANSIENT:]
+        moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[_TRANSIENT:]
         limits = np.array((scenario.actuators.F_u_max, scenario.actuators.F_r_max))
         force, error = (np.stack([getattr(m, key) for m in moments], axis=1) for key in ("command", "error"))
         runs.append(NoiseRun(cut_off, force * limits, error))

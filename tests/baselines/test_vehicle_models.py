@@ -129,11 +129,8 @@ def test_a_loop_of_several_vehicles_equals_a_policy_for_each():
     rows = np.array([v.coefficients for v in known]).T
     env = UnderactuatedAUVTrackVectorEnv(2, [replace(PRESETS["cruise-storm"], vehicle=v, substeps=3) for v in known])
     observation, _ = env.reset(seed=0)
-    rng, sums, alone = (
-        np.random.default_rng(0),
-        np.zeros((WITH_MODEL.memory, 2)),
-        [np.zeros((WITH_MODEL.memory, 1))] * 2,
-    )
+    rng, memory = np.random.default_rng(0), WITH_MODEL.memory
+    sums, alone = np.zeros((memory, 2)), [np.zeros((memory, 1))] * 2
     for _ in range(60):
         ahead, last = rng.normal(size=(4, 2)), rng.uniform(-1, 1, (2, 2))
         base = loop.expert(observation.T, ARRAYS, rows)

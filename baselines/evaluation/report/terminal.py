@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -17,7 +16,6 @@ from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
 
 _WIDTH = 200  # [characters] width of tables without a terminal
-_LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
 
 
 def console() -> Console:
@@ -67,7 +65,8 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    table = Table(title=title, caption=f"steady: RMSE after the first third of an episode; score: {SCALE}", **_LOOK)
+    caption = f"steady: RMSE after the first third of an episode; score: {SCALE}"
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
     for column in columns:

@@ -234,6 +234,6 @@ def divided_by_error(shares: AnyArray, errors: AnyArray, error_exponent: float) 
         error_exponent: 0 ... 1.
     """
     bounded = np.minimum(errors, _LARGEST) + SMALLEST
-    even = np.where(np.isfinite(errors), shares * bounded**-error_exponent, 0.0)
-    total = even.sum()
-    return even * (shares.sum() / total) if total > 0 else shares
+    divided = np.where(np.isfinite(errors), shares * bounded**-error_exponent, 0.0)
+    total = divided.sum()
+    return divided * (shares.sum() / total) if total > 0 else shares
