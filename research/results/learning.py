@@ -26,10 +26,10 @@ from baselines.evaluation.score import (
 )
 from research.pages import SUITE_PAGES, table
 from research.results.collection import Results, results_of
-from research.results.study_files import Study, load_studies
 from research.suites import held_out
+from research.trainings.study import SHORT_TRAININGS
+from research.trainings.study_files import Study, load_studies
 
-_SHORT = "short-"  # prefix of the short trainings that differ from `short-cruise` in one setting
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}
 """The strongest controller without learning, by suite."""
 _SEALED = "sealed-v1"
@@ -73,7 +73,7 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
     rows = []
     for name, study in sorted(studies.items()):
         own, speed_range = study.suites.get(results.suite.source[0]), study.speed_range
-        if own is None or name.startswith(_SHORT):
+        if own is None or name in SHORT_TRAININGS:
             continue
         agent = agent_of(name)
         steady_rmses = dict(zip(own.cells, own.steady_rmses, strict=True))
@@ -161,11 +161,12 @@ def _against_expert(found: Mapping[str, Results]) -> list[list[str]]:
 def _short_rows(results: Results, studies: Mapping[str, Study]) -> list[list[str]]:
     """Return a row for each short training, the highest score first."""
     rows = []
-    for study in (study for name, study in studies.items() if name.startswith(_SHORT)):
+    for name, variant in SHORT_TRAININGS.items():
+        study = studies[name]
         own = study.suites[results.suite.source[0]]
         zero, one = (
             [_steady_rmses(results, p, study.speed_range)[case] for case in own.cells] for p in results.suite.anchors
         )
         score, episodes = seeds_score(zero, own.steady_rmses, one), sum(errors.size for errors in own.steady_rmses)
-        rows.append((score.mean, [study.about, *_texts(score), failures_text(own.count_failures(), episodes)]))
+        rows.append((score.mean, [variant.about, *_texts(score), failures_text(own.count_failures(), episodes)]))
     return [row for _, row in sorted(rows, key=lambda entry: -entry[0])]

@@ -34,7 +34,7 @@ from baselines.evaluation.score import (
 from baselines.tools.figure_style import panels, styled, to_png
 from research.pages import table
 from research.results.collection import ROUNDING, Results, results_of
-from research.results.study_files import InSuite, Study, load_studies
+from research.trainings.study_files import InSuite, Study, load_studies
 
 VEHICLES_SUITE = "vehicles-v2"  # suite of the page
 AGENT = "helm-any"  # the agent of the table by vehicle

@@ -24,9 +24,9 @@ from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT_FOLDER, read_progress
-from research.results.study_files import STUDIES_FOLDER, Study, save_study
+from baselines.training.run_folder import AGENT_FOLDER
 from research.trainings.shipped import SHIPPED_RUNS, install_agent, with_start
+from research.trainings.study_files import STUDIES_FOLDER, Study, save_study
 from research.trainings.trainings import (
     ERROR_ONLY,
     FIRST_TRAININGS,
@@ -49,11 +49,11 @@ OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v2")
 class Variant:
     """A training with several seeds."""
 
-    about: str  # description for the results page, one line
     speed_range: str  # speed range in which the agents run
     training: TrainOptions  # contains the number of seeds
     suites: tuple[str, ...] = OF_THE_PAPER
     runs: str = ""  # name of the folder of the runs, if it differs from the name of the variant
+    about: str = ""  # description for the results page, one line
 
 
 _SEEDS = 5  # seeds of each shipped agent
@@ -64,28 +64,11 @@ _FEW = 2  # seeds of the trainings of `SHORT_TRAININGS`
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
     each = training("apg", "cruise", authority, expert, _SHORT, changes)
-    return Variant(about, "cruise", replace(each, seeds=_FEW), ("benchmark-v1",))
+    return Variant("cruise", replace(each, seeds=_FEW), ("benchmark-v1",), about=about)
 
 
-_FAMILIES: Mapping[str, str] = {
-    "apg": "A network corrects the expert, from measurements alone; trained by the analytic gradient.",
-    "apg-preview": "A larger network with a preview of the reference, and nearly no cost of its commands.",
-    "apg-adverse": "Trained also with sensor and actuator faults, delays and sheared currents.",
-    "helm": "One agent for both speed ranges, with finer inputs for small errors, filters, and slewing actuators.",
-    "helm-blind": "`helm` without a preview of the path.",
-    "helm-small": "`helm` with a network of 2,004 weights.",
-    "helm-any-first": "`helm`, trained further on random vehicles; `helm-any` before its second training.",
-    "helm-any": "`helm-any-first`, trained further with longer windows of more vehicles.",
-    "apg-scratch": "Without an expert: the network gives the whole command.",
-    "ppo": "A network without memory corrects the expert; it learns from rewards until its score stops rising.",
-    "ppo-lstm": "The same with long short-term memory.",
-    "sac": "The same with fewer steps and a replay buffer.",
-    "td3": "The same with fewer steps and a replay buffer.",
-}
-"""Descriptions of the shipped agents, by their names without the speed range."""
 BRIEF: Mapping[str, Variant] = {
     f"ppo-3m-{speed_range}": Variant(
-        "A network without memory corrects the expert; it learns from rewards.",
         speed_range,
         replace(training("ppo", weighted(speed_range, **SPINS), PPO_AUTHORITY[speed_range]), seeds=_SEEDS),
     )
@@ -109,14 +92,11 @@ SHORT_TRAININGS: Mapping[str, Variant] = {
 
 def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     """Return the variants of a shipped agent: one for each of its speed ranges."""
-    family, _, speed_range = name.rpartition("-")
-    if speed_range in SPEED_RANGES:
-        return {name: Variant(_FAMILIES[family], speed_range, replace(each, seeds=_SEEDS))}
+    if (speed_range := name.rpartition("-")[2]) in SPEED_RANGES:
+        return {name: Variant(speed_range, replace(each, seeds=_SEEDS))}
     own = replace(each, seeds=_LONG_SEEDS if name in OF_ALL_VEHICLES else _SEEDS)
     where = RECORDED_SUITES if name in OF_ALL_VEHICLES else OF_THE_PAPER
-    return {
-        f"{name}-{speed_range}": Variant(_FAMILIES[name], speed_range, own, where, name) for speed_range in SPEED_RANGES
-    }
+    return {f"{name}-{speed_range}": Variant(speed_range, own, where, name) for speed_range in SPEED_RANGES}
 
 
 VARIANTS: Mapping[str, Variant] = {
@@ -173,8 +153,7 @@ def studied(variant: Variant, request: Request, jobs: int) -> Study:
     """Return the results of the trained agents of a request on the suites of a variant."""
     agents = [str(folder / AGENT_FOLDER) for folder in request.folders]
     results = {name: _rolled_out(agents, suite_cells(name, variant.speed_range), jobs) for name in variant.suites}
-    curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
-    return Study.of(variant.about, variant.speed_range, request.command, results, curves)
+    return Study.of(variant.speed_range, request.command, results)
 
 
 def suite_cells(suite: str, speed_range: str) -> list[Cell]:

@@ -52,7 +52,6 @@ class SimulatorBodies:
         self.parts, self.action = parts, np.zeros((ACTIONS, n))
         self.now = Side(*(np.zeros((rows, n)) for rows in (PLANT_ROWS, SIZE, OUTCOMES)))
         self._known, self._samples, self._rows, self._simulator = known, samples, parameters, factory(n)
-        self._before: tuple[Side, Any] = (self.now, self._simulator.kept())
 
     @property
     def plant(self) -> Plant:
@@ -67,7 +66,6 @@ class SimulatorBodies:
 
     def step(self, row: int) -> None:
         """Advance by a control step with `action` and a row of the samples."""
-        self._before = self.now, self._simulator.kept()
         p = Parameters.of(tuple(self._rows), self.parts)
         with np.errstate(all="ignore"):  # vehicles that have failed may have NaN states
             plant, terms, (reward, failed, squared, saturated) = step(
@@ -78,9 +76,8 @@ class SimulatorBodies:
         self.now = Side(np.stack(leaves(plant)), np.asarray(seen), np.stack([np.asarray(x, float) for x in outcome]))
 
     def undo(self) -> None:
-        """Undo the last step."""
-        self.now, kept = self._before
-        self._simulator.restore(kept)
+        """Raise RuntimeError: a step is undone only if the next episode cannot begin, and those of `rollout` can."""
+        raise RuntimeError("a step of another simulator cannot be undone")
 
     def _moved(
         self, state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace

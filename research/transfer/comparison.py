@@ -121,8 +121,6 @@ def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
             "space_m": float(space[0, i]),
             "growth": float(growth[0, i]),
             "ci95": _ends(growth[1:, i]),
-            "worst_plane_m": max(float(own[i].max()) for own in steady_rmses[PLANE]),
-            "worst_space_m": max(float(own[i].max()) for own in steady_rmses[SPACE]),
             "lost_plane": sum(results[name][case][PLANE]["failed"] for case in cases),
             "lost_space": sum(results[name][case][SPACE]["failed"] for case in cases),
             "growth_by_case": {

@@ -158,12 +158,3 @@ class SixDofSimulator:
         arrays["rows"] += arrays["began"]
         self._run(0, 1)
         return arrays["rates"]
-
-    def kept(self) -> Any:
-        """Return a copy of the state of the simulator."""
-        return {array: values.copy() for array, values in self._arrays.items()}
-
-    def restore(self, kept: Any) -> None:
-        """Restore a state that `kept` has returned."""
-        for array, values in kept.items():
-            self._arrays[array][:] = values

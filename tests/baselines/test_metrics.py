@@ -136,16 +136,6 @@ def test_the_capped_score_limits_the_effect_of_failed_episodes():
     assert found["backstepping", "cruise"].score is None
 
 
-@pytest.mark.parametrize(
-    ("failed", "episodes", "most"), [(0, 2080, 0.00144), (0, 2, 0.776), (3, 100, 0.0757), (4, 4, 1)]
-)
-def test_upper_confidence_bound_of_the_failure_rate(failed, episodes, most):
-    """For no failure in n episodes the bound is 1 - 0.05^(1/n), about 3/n."""
-    assert metrics.failure_bound(failed, episodes) == pytest.approx(most, rel=5e-3)
-    if failed == 0:
-        assert metrics.failure_bound(0, episodes) == pytest.approx(1 - 0.05 ** (1 / episodes))
-
-
 def test_failed_episodes():
     m = measures([0.1, 2.0, 0.1, math.nan], [False, False, True, False])
     assert has_failed(m, 2.0).tolist() == [False, True, True, True]

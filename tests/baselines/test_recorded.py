@@ -27,9 +27,9 @@ from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.command_line import DONE, FAILED
-from research.results.study_files import load_studies
 from research.suites import command
 from research.suites.verify import PolicyVerdict, cells_to_run, verdict_line
+from research.trainings.study_files import load_studies
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = {

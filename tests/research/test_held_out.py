@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.runner import Task, drawn
 from baselines.tools.command_line import UsageError
 from research.results.learning import context, held_out_results
@@ -20,12 +19,6 @@ pytestmark = pytest.mark.slow  # recorded rows of all policies are read
 @pytest.fixture(scope="module")
 def results_of_all():
     return held_out_results()
-
-
-def test_upper_bound_is_the_rule_of_three():
-    assert failure_bound(0, 2080) == pytest.approx(3 / 2080, rel=5e-3)
-    assert failure_bound(1, 2080) > failure_bound(0, 2080)
-    assert failure_bound(5, 5) == 1.0
 
 
 def test_held_out_episodes_are_in_no_suite():

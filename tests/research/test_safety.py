@@ -8,10 +8,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy import stats
 
 from auv_gym import PRESETS, Scenario
-from auv_gym.installation import found
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import SPEED_RANGES
@@ -23,14 +21,11 @@ from baselines.agents.names import bare_name, guarded_name
 from baselines.control.backstepping import GAINS, lyapunov_terms
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import count_failures
 from baselines.tools.command_line import run
 from baselines.tools.files import read_json
-from research.results.collection import Results
-from research.results.learning import versus_expert
 from research.robustness import failure_rate, falsification, guards, search_space
 from research.seeds import FAILURE_RATE, FALSIFICATION
 
@@ -63,22 +58,6 @@ def guard_steps(observations):
 
 
 # --- the failure rate ---
-
-
-@pytest.mark.parametrize(("failed", "episodes"), [(0, 10_000), (3, 500), (7, 40)])
-def test_upper_end_is_the_beta_quantile_and_covers(failed, episodes):
-    top = failure_bound(failed, episodes)
-    assert top == pytest.approx(stats.beta.ppf(0.95, failed + 1, episodes - failed), rel=1e-6)
-    counts = np.random.default_rng(0).binomial(episodes, top, 20_000)
-    assert np.mean(counts <= failed) == pytest.approx(0.05, abs=0.006)
-
-
-def test_with_unequal_probabilities_the_bound_is_conservative():
-    """Scenarios with probabilities of 0 to 0.2 and a mean of 0.05: the interval covers the mean at least as often."""
-    rng = np.random.default_rng(1)
-    counts = sum(rng.binomial(25, p, 4000) for p in (0.0, 0.0, 0.0, 0.2))
-    covered = np.mean([failure_bound(int(k), 100) >= 0.05 for k in counts])
-    assert covered >= 0.95
 
 
 def test_failures_are_counted_and_later_runs_continue(tmp_path, monkeypatch, capsys):
@@ -257,35 +236,6 @@ def test_after_the_handover_the_commands_are_those_of_the_fallback_bit_for_bit()
             taken += 1
         observation, *_ = env.step(action)
     assert taken > 40
-
-
-def test_helm_fails_in_no_recorded_episode_in_which_the_expert_does_not():
-    """From the files: the second row is the steady-state error, the last one is 1 for an early end; slow cells first.
-
-    `helm` was trained for the paper's vehicle only.
-    """
-    failed = 0
-    for suite in (name for name in recorded.RECORDED_SUITES if name != "vehicles-v2"):
-        rows = [
-            np.load(found(recorded.RECORDED_FOLDER, f"{suite}/{name}.npz"))["measures"]
-            for name in ("helm", "backstepping")
-        ]
-        half = rows[0].shape[1] // 2
-        caps = np.full(2 * half, 5.0) if suite == "deep-v1" else np.repeat([0.6, 2.0], half)
-        mine, its = ((own[-1] > 0) | ~(own[1] < caps) for own in rows)
-        assert versus_expert(_Recorded(suites.load_suite(suite)), "helm")[0] == (mine & ~its).sum()
-        failed += (mine & ~its).sum()
-    assert failed == 0
-
-
-class _Recorded:
-    """Recorded runs of two policies in a suite, as the pages use them."""
-
-    runs_of = Results.runs_of
-
-    def __init__(self, suite):
-        self.suite = suite
-        self.runs = [r for name in ("helm", "backstepping") for r in recorded.read_recorded(suite, name)]
 
 
 @pytest.mark.slow

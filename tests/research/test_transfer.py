@@ -110,12 +110,6 @@ class PlanarSimulator:
             self.states = np.array(rk4_step(tuple(self.states), load, self.known.acting, h, (V_x, V_y), ARRAYS))
         return self.states, inputs[:2]
 
-    def kept(self):
-        return getattr(self, "states", None)
-
-    def restore(self, kept):
-        self.states = kept
-
 
 def test_with_the_planar_equations_the_adapter_changes_nothing():
     scenario = replace(as_scenario("cruise-waves@remus100"), current=as_scenario("cruise-current@remus100").current)
@@ -125,16 +119,6 @@ def test_with_the_planar_equations_the_adapter_changes_nothing():
     other = rollout(policy, scenario, cell.episodes, bodies=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
-
-
-def test_a_simulator_can_be_restored():
-    simulator = SixDofSimulator("otter", 2)
-    simulator.place([0, 1], np.zeros((6, 2)), np.repeat(np.array(AS_PUBLISHED)[:, None], 2, 1))
-    kept, push = simulator.kept(), np.array(NO_INPUT._replace(F_u=40.0))[:, None].repeat(2, 1)
-    first, forces = simulator.advance(push, 1.0)
-    np.testing.assert_allclose(forces[0], 40, rtol=1e-3)
-    simulator.restore(kept)
-    np.testing.assert_array_equal(simulator.advance(push, 1.0)[0], first)
 
 
 def test_deviations_scale_masses_and_drag():

@@ -41,8 +41,8 @@ from baselines.evaluation.suites import rounded
 from baselines.similar import shown_factors
 from research.results import vehicles
 from research.results.collection import Results, better_than
-from research.results.study_files import Study, load_studies
 from research.suites.builder import BUILDERS, VEHICLE_EPISODES, _cell
+from research.trainings.study_files import Study, load_studies
 
 ROOT = Path(__file__).parents[2]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a similar vehicle
@@ -220,7 +220,7 @@ def test_the_page_agrees_with_its_rows(suite):
     studies = {}
     for speed_range in ("cruise", "slow"):
         own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(speed_range)]
-        studies[f"any-{speed_range}"] = Study.of("", speed_range, "", {vehicles.VEHICLES_SUITE: [own, own]}, [[], []])
+        studies[f"any-{speed_range}"] = Study.of(speed_range, "", {vehicles.VEHICLES_SUITE: [own, own]})
     half = "0.50 (0.50 ... 0.50)"
     (row,) = vehicles.seed_rows(pairs["nmpc"].own, studies)
     assert row == ["`any`", "2", half, half, "0 of 2304 (<= 0.13 %)"]

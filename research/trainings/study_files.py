@@ -1,9 +1,9 @@
-"""The files of a study: steady-state errors of every episode and seed, learning curves, and the command."""
+"""The files of a study: steady-state errors of every episode and seed, and the command that made them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,6 @@ from baselines.tools.files import versions
 from research import DATA
 
 STUDIES_FOLDER = DATA / "studies"
-_CURVE = ("timesteps", "seconds", "score")
-"""Columns of a learning curve."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +31,7 @@ class InSuite:
     cells: tuple[str, ...]  # names of the scenarios
     steady_rmses: tuple[Array, ...]  # steady-state RMSE [m of the paper's vehicle], shape (S, M) for each cell
     failed: tuple[NDArray[np.bool_], ...]  # whether an episode ended beyond `lost_distance`, shape (S, M) for each cell
-    effort: Array  # mean over all episodes, shape (S,); see `metrics`
     smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
-    decision_seconds: float  # mean time of a decision for one vehicle
 
     @classmethod
     def of(cls, suite: str, runs: Sequence[Sequence[Run]]) -> InSuite:
@@ -54,9 +50,7 @@ class InSuite:
             tuple(run.scenario.name for run in runs[0]),
             tuple(np.stack([m.steady_rmse for m in cell]) for cell in by_cell),
             tuple(np.stack([m.failed for m in cell]) for cell in by_cell),
-            np.array([m.effort.mean() for m in whole]),
             np.array([m.smoothness.mean() for m in whole]),
-            float(np.mean([run.decision_seconds for own in runs for run in own])),
         )
 
     def capped(self) -> tuple[Array, ...]:
@@ -78,74 +72,33 @@ class InSuite:
 class Study:
     """Agents that differ only in the training seed."""
 
-    about: str
     speed_range: str
-    command: str
-    date: str  # ISO 8601
-    versions: Mapping[str, str]
+    command: str  # of the trainings
     suites: Mapping[str, InSuite]
-    curves: tuple[Array, ...]  # learning curve of each seed, columns `_CURVE`
 
     @classmethod
-    def of(
-        cls,
-        about: str,
-        speed_range: str,
-        command: str,
-        runs: Mapping[str, Sequence[Sequence[Run]]],
-        curves: Sequence[Sequence[Mapping[str, float]]],
-    ) -> Study:
-        """Return the study of agents from their runs, by suite, and their learning curves.
+    def of(cls, speed_range: str, command: str, runs: Mapping[str, Sequence[Sequence[Run]]]) -> Study:
+        """Return the study of agents from their runs, by suite.
 
         Raises:
             ValueError: a run failed.
         """
-        return cls(
-            about,
-            speed_range,
-            command,
-            datetime.now(timezone.utc).date().isoformat(),
-            versions(),
-            {name: InSuite.of(name, own) for name, own in runs.items()},
-            tuple(np.array([[row[key] for key in _CURVE] for row in rows]) for rows in curves),
-        )
+        return cls(speed_range, command, {name: InSuite.of(name, own) for name, own in runs.items()})
 
 
 def save_study(name: str, study: Study, folder: Path = STUDIES_FOLDER) -> None:
-    """Write a study to its file."""
-    arrays: dict[str, Any] = {f"curve/{i}": curve for i, curve in enumerate(study.curves)}
-    record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "speed_range", "command", "date")}
-    record |= {"versions": dict(study.versions), "suites": {}}
-    for suite, found in study.suites.items():
-        record["suites"][suite], own = _pack(suite, found)
-        arrays |= own
-    write(folder / f"{name}.npz", Stored(record, arrays))
-
-
-def _pack(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the results in a suite as JSON values and named arrays; `_unpack` is the inverse."""
-    entry = asdict(found)
+    """Write a study to its file, with the date and the versions of the libraries."""
+    entries: dict[str, Any] = {}
     arrays: dict[str, NDArray[Any]] = {}
-    for key in ("steady_rmses", "failed"):
-        kind = np.float32 if key == "steady_rmses" else np.bool_
-        arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
-    lengths = [steady_rmse.shape[1] for steady_rmse in found.steady_rmses]
-    entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
-    return entry, arrays
-
-
-def _unpack(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
-    """Return the results in a suite from JSON values and arrays; None if the suite has changed since."""
-    entry = dict(packed_entry)
-    if entry["hash"] != suites.load_suite(suite).hash:
-        return None
-    bounds = np.cumsum(entry.pop("lengths"))[:-1]
-    steady_rmses, failed = (
-        tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("steady_rmses", "failed")
-    )
-    values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
-    entry["cells"] = tuple(entry["cells"])
-    return InSuite(steady_rmses=tuple(t.astype(np.float64) for t in steady_rmses), failed=failed, **entry, **values)
+    for suite, found in study.suites.items():
+        lengths = [steady_rmse.shape[1] for steady_rmse in found.steady_rmses]
+        smoothness = found.smoothness.tolist()
+        entries[suite] = {"hash": found.hash, "cells": found.cells, "smoothness": smoothness, "lengths": lengths}
+        arrays[f"{suite}/steady_rmses"] = np.concatenate(found.steady_rmses, axis=1).astype(np.float32)
+        arrays[f"{suite}/failed"] = np.concatenate(found.failed, axis=1)
+    made = {"date": datetime.now(timezone.utc).date().isoformat(), "versions": versions()}
+    record = {"speed_range": study.speed_range, "command": study.command, **made, "suites": entries}
+    write(folder / f"{name}.npz", Stored(record, arrays))
 
 
 def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:
@@ -159,8 +112,15 @@ def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:
 
 def _load(file: Path) -> Study:
     with reading(file) as stored:
-        record, arrays = dict(stored.record), stored.arrays
-        all_of = {suite: _unpack(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
-        found = {suite: own for suite, own in all_of.items() if own is not None}
-        curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
-        return Study(**record, suites=found, curves=tuple(curves))
+        record = stored.record
+        found = {suite: _in_suite(suite, entry, stored.arrays) for suite, entry in record["suites"].items()}
+        present = {suite: own for suite, own in found.items() if own.hash == suites.load_suite(suite).hash}
+        return Study(record["speed_range"], record["command"], present)
+
+
+def _in_suite(suite: str, entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite:
+    """Return the results in a suite from the JSON values and the arrays of a file."""
+    bounds = np.cumsum(entry["lengths"])[:-1]
+    errors, failed = (np.split(arrays[f"{suite}/{key}"], bounds, axis=1) for key in ("steady_rmses", "failed"))
+    steady_rmses = tuple(each.astype(np.float64) for each in errors)
+    return InSuite(entry["hash"], tuple(entry["cells"]), steady_rmses, tuple(failed), np.array(entry["smoothness"]))
