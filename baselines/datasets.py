@@ -10,6 +10,7 @@ import hashlib
 import importlib.metadata
 import math
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -29,15 +30,18 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.episodes import EpisodeRecord, run_episodes
-from baselines.tools.command_line import DONE, FAILED, UsageError, WorkerError, called, parse, typed
+from baselines.tools.command_line import DONE, FAILED, UsageError, WorkerError, called, checked_folder, parse, typed
 from baselines.tools.files import synchronise
-from baselines.tools.workers import Elsewhere
+from baselines.tools.workers import ProcessObject
 
 PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with the folder of Minari's datasets."""
 _UNFINISHED = ".unfinished-"
 """Beginning of the name of a folder in which a dataset is being written."""
+_ID = r"([A-Za-z0-9][\w-]+/)*[A-Za-z0-9][\w-]*-v\d+"
+"""Pattern of the ids that Minari accepts."""
+_MOST_EPISODES = 10**6
 _LEFTOVER = 3600.0
 """Age [s] from which such a folder belongs to a process that was killed."""
 
@@ -53,7 +57,7 @@ class Options:
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("backstepping",)
-    """Policies by name or path, as for evaluate.py."""
+    """Policies by name or path, as for `auv-gym evaluate`."""
     scenario: str = "cruise-storm"
     """Name of a preset, or a .toml or .json file."""
     episodes: int = 20
@@ -162,7 +166,7 @@ def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: 
             shutil.rmtree(left)
     before, made = os.environ.get(LIBRARY_FOLDER), Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder.resolve()))
     os.environ[LIBRARY_FOLDER] = str(made)  # Minari needs an absolute path
-    writer = Elsewhere(_Writer)
+    writer = ProcessObject(_Writer)
     try:
         try:
             writer.call("write", parts, scenario, name, card)()
@@ -294,20 +298,25 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments are wrong.
     """
     options = parse(Options, arguments, PROGRAM)
-    from baselines.evaluation.request import checked_folder, checked_policies, checked_scenario
+    from baselines.evaluation.request import checked_policies, checked_scenario
     from baselines.evaluation.rollout import PolicyError
 
     if find_spec("minari") is None or find_spec("h5py") is None:
         raise UsageError(f"datasets need Minari: {install('data')}")
-    if options.episodes < 1:
-        raise UsageError(f"--episodes is {options.episodes}; it must be at least 1")
+    if not 1 <= options.episodes <= _MOST_EPISODES:
+        raise UsageError(f"--episodes is {options.episodes}; it must be an integer from 1 to {_MOST_EPISODES}")
+    if not options.policy or not options.noise:
+        raise UsageError("--policy and --noise need one value or more")
+    if options.id is not None and not re.fullmatch(_ID, options.id):
+        raise UsageError(f"--id is {options.id!r}; it must be NAME-v0 or FOLDER/NAME-v0, of letters, digits, - and _")
     if options.seed < 0:
         raise UsageError(f"--seed is {options.seed}; it must be at least 0")
     for noise in options.noise:
         if not 0 <= noise <= 1 or not math.isfinite(noise):
             raise UsageError(f"--noise is {noise}; it must be in [0, 1]")
     scenario, policies = checked_scenario(options.scenario), checked_policies(options.policy)
-    name = options.id or f"auv_gym/{scenario.name}/{'-'.join(p.replace('/', '_') for p in policies)}-v0"
+    default = (re.sub(r"[^\w-]+", "_", text, flags=re.ASCII) for text in (scenario.name, "-".join(policies)))
+    name = options.id or f"auv_gym/{'/'.join(default)}-v0"
     folder = checked_folder(options.out)
     if (folder / name).exists():
         raise UsageError(f"{folder / name} exists; choose another --id, or delete it")

@@ -15,7 +15,7 @@ from baselines.agents.loading import load_policy
 from baselines.agents.names import COMMAND, FADING, agent_folder, checked_name, guarded_name, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.policy import Privileged
-from baselines.similar import made_for
+from baselines.scaling import scaled_for
 
 
 def list_policies() -> dict[str, str]:
@@ -37,7 +37,7 @@ def make_policy(
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
         vehicle: the known vehicle; None: the paper's. A controller or agent is made for it in the paper's units, see
-            `baselines.similar`, so its gains depend on the vehicle. A privileged policy, or one from a file of code,
+            `baselines.scaling`, so its gains depend on the vehicle. A privileged policy, or one from a file of code,
             gets the vehicle in SI units, if its factory has a parameter `vehicle`.
         options: options of the factory, in place of those of the registry. Numbers with units are for the vehicle in
             the paper's units.
@@ -47,7 +47,7 @@ def make_policy(
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
     if (inner := checked_name(name)) is not None:
-        return made_for(vehicle, lambda known: Checked(make_policy(inner, known, **options), known))
+        return scaled_for(vehicle, lambda known: Checked(make_policy(inner, known, **options), known))
     if (parts := guarded_name(name)) is not None:
         guarded, fallback_name = parts
 
@@ -55,7 +55,7 @@ def make_policy(
             fallback = make_policy(fallback_name, known) if fallback_name else bounded_law(known)
             return Guarded(make_policy(guarded, known, **options), fallback, known)
 
-        return made_for(vehicle, make_guarded)
+        return scaled_for(vehicle, make_guarded)
     if name.endswith(FADING) and not name.startswith(COMMAND):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name) or agent_folder(name) is not None:
@@ -68,7 +68,7 @@ def make_policy(
         )
     if isinstance(POLICIES[name][0], Privileged):
         return make_controller(name, vehicle, **options)
-    return made_for(vehicle, lambda known: make_controller(name, known, **options))
+    return scaled_for(vehicle, lambda known: make_controller(name, known, **options))
 
 
 def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:

@@ -11,7 +11,7 @@ from auv_gym.envs import make_track_vector_env
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.sub_environments import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
+from auv_gym.envs.vector_api import VectorEnv
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.rendering import PICTURE
 from auv_gym.scenarios.fitting import changed
@@ -19,6 +19,7 @@ from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, preview_of
 from baselines.policies import common_vehicle, make_policy
+from baselines.policy import Privileged
 
 
 def make_residual_env(
@@ -46,8 +47,7 @@ def make_residual_env(
         OSError: the expert's file cannot be read.
         ValueError: scenario, vehicle, control period, render mode or size, expert or authority is invalid.
     """
-    known = changed(as_scenario(scenario), vehicle).vehicle
-    policy = make_policy(expert, known) if isinstance(expert, str) else expert
+    policy = _expert(expert, changed(as_scenario(scenario), vehicle).vehicle)
     env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy), render_size)
     return ResidualAction(env, policy, authority)
 
@@ -60,15 +60,11 @@ def make_residual_vector_env(
     num_envs: int = 1,
     scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
     vehicle: Vehicle | str | Mapping[str, Any] | None = None,
-    control_dt: float | None = None,
-    render_mode: str | None = None,
+    *,
     expert: Policy | str = "backstepping",
     authority: float | Sequence[float] = 0.5,
     backend: str = "numpy",
-    device: Any = None,
-    dtype: Any = None,
-    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-    max_episode_steps: int | None = None,
+    **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
 
@@ -76,40 +72,39 @@ def make_residual_vector_env(
         num_envs: N, the number of vehicles.
         scenario: a `Scenario`, its dict, a preset's name, or a sequence of N of them.
         vehicle: the known vehicle, in place of the scenarios'.
-        control_dt: control period [s], in place of the scenarios'.
-        render_mode: None; only the scalar environment can render.
         expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same;
             with backend "torch" a law that computes on tensors.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
         backend: "numpy" for arrays of float64, or "torch" for tensors.
-        device: device of the tensors, "cpu" or "cuda"; with backend "torch" only.
-        dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
-        autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
-        max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
+        options: further options of `auv_gym.envs.make_track_vector_env`, without the preview, which is the expert's.
 
     Raises:
         ImportError: the back end is "torch", and torch is not installed.
         OSError: the expert's file cannot be read.
+        TypeError: there is no such option.
         ValueError: an argument is invalid.
     """
     given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
     known = common_vehicle([changed(as_scenario(s), vehicle) for s in given])
-    policy: Any = make_policy(expert, known) if isinstance(expert, str) else expert
-    env = make_track_vector_env(
-        num_envs,
-        scenario,
-        vehicle,
-        control_dt,
-        render_mode,
-        backend,
-        device,
-        dtype,
-        preview_of(policy),
-        autoreset_mode,
-        max_episode_steps,
-    )
+    policy: Any = _expert(expert, known)
+    env = make_track_vector_env(num_envs, scenario, vehicle, backend=backend, preview=preview_of(policy), **options)
     if backend == "numpy":
         return VectorResidualAction(env, policy, authority)
     from auv_gym.envs.torch_residual import TorchResidualAction
 
     return TorchResidualAction(env, policy, authority)  # type: ignore[arg-type]
+
+
+def _expert(expert: Policy | str, vehicle: Vehicle | None) -> Policy:
+    """Return the expert of an environment.
+
+    Raises:
+        OSError: its file cannot be read.
+        ValueError: there is no such policy, it is no policy, or it needs more than the observation.
+    """
+    policy = make_policy(expert, vehicle) if isinstance(expert, str) else expert
+    if isinstance(policy, type) or not callable(getattr(policy, "predict", None)):
+        raise ValueError(f"expert is {expert!r}; it must be the name of a policy, or an object with the method predict")
+    if isinstance(policy, Privileged):
+        raise ValueError(f"expert {expert!r} uses more than the observation; choose another policy")
+    return policy

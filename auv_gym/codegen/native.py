@@ -171,7 +171,11 @@ _PROCESSOR = ("model name", "flags", "features", "facilities", "cpu", "isa", "ua
 @cache
 def _announce() -> None:
     """Print why the first use on a machine takes longer."""
-    print("auv_gym: compiling the equations of motion for this machine; this happens once", file=sys.stderr, flush=True)
+    print(
+        "auv_gym: compiling equations for this machine, once for each kind of scenario and policy",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, ...]) -> ctypes.CDLL:

@@ -54,7 +54,7 @@ def checked_steps(max_episode_steps: int | None) -> int:
         return int(np.iinfo(np.int64).max)
     if isinstance(max_episode_steps, bool) or not isinstance(max_episode_steps, int) or max_episode_steps < 1:
         raise ValueError(f"max_episode_steps is {max_episode_steps!r}; it must be an integer of at least 1, or None")
-    return max_episode_steps
+    return min(max_episode_steps, int(np.iinfo(np.int64).max))
 
 
 def checked_seed(seed: Any) -> int | None:

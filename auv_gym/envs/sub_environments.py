@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import Autoreset, AutoresetMode, checked_mode
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices
-from auv_gym.physics.rows import leaves, spread
+from auv_gym.physics.rows import flatten, spread
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.planning.planner import Planner
@@ -233,7 +233,7 @@ class SubEnvironments:
         if len(kept) < FEWEST_ROWS:
             return [], places.tolist()
         episodes = drawing.episodes(kept)
-        constants = spread(leaves(scenario.constants(episodes)), len(kept))
+        constants = spread(flatten(scenario.constants(episodes)), len(kept))
         paths = drawing.single(kept) if self.preview.periods else []
         feasible, seeds = [table for table in tables if table is not None], [drawing.seeds[j] for j in kept.tolist()]
         rows = ReadyEpisodes(places[kept], scenario, episodes, feasible, seeds, constants, paths)
@@ -254,7 +254,7 @@ class SubEnvironments:
         else:
             episode, table = scenario.drawn(rng, table_of)
         episode = with_options(episode, options)
-        constants = spread(leaves(scenario.parameters(episode)), 1)
+        constants = spread(flatten(scenario.parameters(episode)), 1)
         places, seeds = np.array([place]), [episode.noise_seed]
         return ReadyEpisodes(places, scenario, episode, [table], seeds, constants, [episode.path])
 

@@ -35,7 +35,7 @@ from torch import Tensor
 from auv_gym.envs.sub_environments import ScenarioLike, StartedEpisodes, SubEnvironments
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.namespaces import tensors
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task import simulation
@@ -47,6 +47,7 @@ logger = logging.getLogger(__name__)
 
 TENSORS = tensors()  # the namespace of tensors
 _PLAIN = Parts()  # vehicle and actuators only
+_VARIANTS = 256  # number of compiled forms of the step in a process, for its types and parts
 CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
 """Option of `torch.compile`: constant tables are not checked for changes at every call."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}  # by name
@@ -77,9 +78,9 @@ def simulate(
     """
     p = Parameters.of(parameters.unbind(), parts)
     plant, terms, (reward, failed, squared_error, saturated) = simulation.step(
-        filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
+        unflatten(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
-    rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS, parts.span)
+    rows, observation = torch.stack(flatten(plant)), encode(terms, TENSORS, parts.span)
     return TorchTransition(rows, observation, reward, failed.to(state.dtype), squared_error, saturated.to(state.dtype))
 
 
@@ -96,6 +97,7 @@ def step_function(
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
     step: Callable[..., TorchTransition] = torch.compile(eager, dynamic=True, fullgraph=True, options=CONSTANT_GLOBALS)
+    torch._dynamo.config.cache_size_limit = max(_VARIANTS, torch._dynamo.config.cache_size_limit)
     with torch._dynamo.config.patch(specialize_float=True):  # floats are constants here
         return step if _runs(step, *_ones(device, dtype)) else eager
 
@@ -114,7 +116,7 @@ def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
     try:
         with torch.no_grad():
             function(*inputs)
-    except RuntimeError as error:  # base class of all errors of torch's compiler
+    except Exception as error:  # noqa: BLE001 - torch's compiler has no common class of errors
         warnings.warn(
             "the simulation step cannot be compiled, so it runs eagerly and several times slower; torch.compile needs "
             f"a C++ compiler such as g++ on the PATH (torch says: {str(error).strip().splitlines()[0]})",
@@ -178,11 +180,21 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._compiled = compiled
         self._step = step_function(self.device, self.dtype, sub_envs.parts, compiled)
         self._samples, self._block = self._tensor(sub_envs.samples), sub_envs.blocks
         self._constants = self._tensor(sub_envs.constants)
         self._state: Tensor | None = None
         self._observation = self._tensor(np.zeros((num_envs, len(bounds))))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all attributes except the compiled step."""
+        return {name: value for name, value in self.__dict__.items() if name != "_step"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Set the attributes, and compile the step."""
+        self.__dict__.update(state)
+        self._step = step_function(self.device, self.dtype, self._sub_envs.parts, self._compiled)
 
     def _tensor(self, array: np.typing.ArrayLike) -> Tensor:
         return torch.tensor(np.asarray(array), dtype=self.dtype, device=self.device)

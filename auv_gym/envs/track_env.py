@@ -18,7 +18,7 @@ from auv_gym.envs.arguments import checked_seed
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Array
-from auv_gym.physics.rows import filled
+from auv_gym.physics.rows import unflatten
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.rendering import PICTURE, Renderer, View, checked_size
@@ -228,7 +228,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def _plant(self) -> Plant:
-        return filled(PLANT, self._vehicle.plant.tolist())
+        return unflatten(PLANT, self._vehicle.plant.tolist())
 
     @property
     def _sample(self) -> list[float]:
@@ -317,6 +317,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             state=tuple(self.state.tolist()),
             reference=self.reference[:3],
             path=self._path,
+            travelled=self._k,
             trail=self._trail[max(0, self._k + 1 - _TRAIL) : self._k + 1],
             current=tuple(self.current.tolist()),
             force=tuple(self.force.tolist()),

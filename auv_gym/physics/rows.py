@@ -9,8 +9,8 @@ foot: Point
 length: Number
 
 places = numbered(Arrow)  # Arrow(foot=Point(x=0, y=1), length=2)
-arrow = filled(places, (0.5, 2.0, 3.0))  # Arrow(foot=Point(x=0.5, y=2.0), length=3.0)
-leaves(arrow)  # (0.5, 2.0, 3.0)
+arrow = unflatten(places, (0.5, 2.0, 3.0))  # Arrow(foot=Point(x=0.5, y=2.0), length=3.0)
+flatten(arrow)  # (0.5, 2.0, 3.0)
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ def numbered(cls: type[T]) -> T:
     return made
 
 
-def leaves(tree: Any) -> tuple[Any, ...]:
+def flatten(tree: Any) -> tuple[Any, ...]:
     """Return the numbers of a nested NamedTuple as a row."""
     found: tuple[Any, ...] = ()
     first = 0
     end = len(tree) - len(tree._field_defaults)
     for k in range(end):
         if isinstance(tree[k], tuple):
-            found += (*tree[first:k], *leaves(tree[k]))
+            found += (*tree[first:k], *flatten(tree[k]))
             first = k + 1
     rest: tuple[Any, ...] = tree[first:end]
     return found + rest
 
 
-def filled(places: T, rows: Sequence[Any]) -> T:
+def unflatten(places: T, rows: Sequence[Any]) -> T:
     """Return the nested NamedTuple of a row of numbers, arrays or tensors; `places` is from `numbered`."""
     tree: Any = places
     own = tree[: len(tree) - len(tree._field_defaults)]
-    made: T = type(tree)(*(filled(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
+    made: T = type(tree)(*(unflatten(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
     return made
 
 

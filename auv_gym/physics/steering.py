@@ -44,9 +44,9 @@ def stern_load(T: Number, angle: Number, u: Number, v: Number, r: Number, stern:
     """Return surge force [N], sway force [N] and yaw moment [N m] of propeller and rudder.
 
     A positive angle turns to positive r. With a thrust T ahead and a sideways speed of the stern w = v - arm r the
-    square of the inflow is q = u |u| + wash T + wake |u w|, since the rudder is less in the wake of the body where the
-    stern slips. The side force is side (q sin(angle - neutral) - sqrt(q) (straight w + uneven |w|)): the slip turns the
-    inflow. Without a propeller the second part is lift, see `auv_gym.physics.vehicle.Vehicle`.
+    square of the inflow is q = u |u| + wash T + wake |u w|, since sideslip at the stern moves the rudder partly out
+    of the wake of the body. The side force is side (q sin(angle - neutral) - sqrt(q) (straight w + uneven |w|)): the
+    slip turns the inflow. Without a propeller the second part is lift, see `auv_gym.physics.vehicle.Vehicle`.
 
     Args:
         T: thrust that acts on the vessel [N].

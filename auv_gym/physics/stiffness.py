@@ -31,12 +31,12 @@ def check_step(h: float, coefficients: Sequence[Any], load: Load, speeds: Load =
 def fastest_rate(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> Any:
     """Return the fastest rate [1/s] at which velocities change by themselves, at speeds that a load can bring about.
 
-    It is that of the drag, or that of the coupling of the three velocities. No speeds beyond those at which drag takes
-    away all power that the load can give are in reach for long: |u| <= X / (2 d11) + sqrt(P / d11) by the linear drag,
-    |u| <= sqrt(X / X_uu) + (P / X_uu)^(1/3) by the quadratic one, and so on. P is what the three loads can give: each
-    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift and surge loss are taken to give no power; drag in
-    sway and yaw counts less by what the cross terms may give. The side force of a rudder, eps m22 / m33 times the
-    torque, is a part of the load.
+    It is that of the drag, or that of the coupling of the three velocities. The speeds are bounded, since beyond these
+    bounds drag dissipates more power than the load supplies: |u| <= X / (2 d11) + sqrt(P / d11) by the linear drag, |u|
+    <= sqrt(X / X_uu) + (P / X_uu)^(1/3) by the quadratic one, and so on. P is what the three loads can give: each X^2 /
+    (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift and surge loss are taken to give no power; drag in sway
+    and yaw counts less by what the cross terms may give. The side force of a rudder, eps m22 / m33 times the torque, is
+    a part of the load.
 
     Args:
         coefficients: `Vehicle.all_coefficients`, floats or rows (n,).

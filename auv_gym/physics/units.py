@@ -48,7 +48,7 @@ DIMENSIONS: Mapping[str, str] = dict(
 
 @dataclass(frozen=True)
 class Units:
-    """How many times as large as the paper's vehicle's a vehicle's own units are; all 1 for the paper's vehicle."""
+    """Ratios of a vehicle's units of length, time and mass to those of the paper's vehicle."""
 
     length: float = 1.0
     time: float = 1.0
@@ -56,12 +56,12 @@ class Units:
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> Units:
-        """Return those of a vehicle; exactly 1 each where mass, length and design speed are the paper's vehicle's."""
+        """Return the units of a vehicle; exactly 1 where mass, length and design speed are the paper's vehicle's."""
         paper = PAPER_VEHICLE
         return cls(vehicle.length / paper.length, vehicle.time / paper.time, vehicle.m11 / paper.m11)
 
     def factor(self, length: float = 0, time: float = 0, mass: float = 0) -> float:
-        """Return by what a quantity is multiplied that has these powers of length, time and mass, see `POWERS`.
+        """Return the scale factor of a quantity with these powers of length, time and mass, see `POWERS`.
 
         A quantity of the paper's vehicle times the factor is the similar one of this vehicle; one of this vehicle over
         it is the similar one of the paper's.

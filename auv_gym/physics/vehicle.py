@@ -108,7 +108,8 @@ class Vehicle:
 
     Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes. Lift of
     body and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
-    fin behind the centre has all four positive. Beyond the Munk moment (m11 - m22) u v, which (2c) has by itself.
+    fin behind the centre has all four positive. These terms do not include the
+    Munk moment (m11 - m22) u v, which is part of (2c).
 
     Cross-flow takes `Y_rv |r| v + Y_vr |v| r + Y_rr |r| r` from the sway force and
     `N_vv |v| v + N_rv |r| v + N_vr |v| r` from the yaw moment, beside Y_vv and N_rr; turns take
@@ -128,7 +129,7 @@ class Vehicle:
     Raises:
         ValueError: a parameter is not finite or too large, one but `SIGNED_PARAMETERS` is negative, a mass or linear
             drag is zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it
-            describes need a slender body, damping would give power, or the design speed is outside of `_SPEEDS`.
+            describes need a slender body, damping is not dissipative, or the design speed is outside of `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -170,20 +171,20 @@ class Vehicle:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
         if self.m22 < (1 - 1e-12) * MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):  # in any units
             raise ValueError(
-                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least, "
-                f"nor may Y_ur = {self.Y_ur!r} kg bring m11 - Y_ur there; "
-                "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
+                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg; with Y_ur = {self.Y_ur!r} kg it must be at "
+                f"least {MIN_MASS_RATIO} m11 and {MIN_MASS_RATIO} (m11 - Y_ur). A slender vehicle has more added mass "
+                "in sway than in surge, and only then the plan is stable"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
         if self.has_cross_terms:
             self._check_damping()
 
     def _check_damping(self) -> None:
-        """Raise ValueError if damping gives power at some sway velocity and yaw rate."""
+        """Raise ValueError if damping is not dissipative at some sway velocity and yaw rate."""
         if (self.d23 + self.d32) ** 2 > 4 * self.d22 * self.d33:
             raise ValueError(
-                f"the linear damping of sway and yaw gives power: |d23 + d32| is {abs(self.d23 + self.d32):.4g}; it "
-                f"must be at most 2 sqrt(d22 d33) = {2 * math.sqrt(self.d22 * self.d33):.4g} kg m/s"
+                f"linear damping of sway and yaw is not dissipative: |d23 + d32| is {abs(self.d23 + self.d32):.4g}; "
+                f"it must be at most 2 sqrt(d22 d33) = {2 * math.sqrt(self.d22 * self.d33):.4g} kg m/s"
             )
         size = self.length
         for slope in self.cross_terms.slopes(self.Y_vv, self.N_rr):
@@ -192,8 +193,8 @@ class Vehicle:
             ratios = np.array([1e6, *turning[turning > 0]])
             if (np.polyval(power[::-1], ratios) < -1e-9 * np.polyval(abs(power[::-1]), ratios)).any():
                 raise ValueError(
-                    "the quadratic damping of sway and yaw gives power: v times the sway force and r times the yaw "
-                    "moment that Y_vv, N_rr and cross-flow take must not add up to less than 0 at any v and r"
+                    "the quadratic damping of sway and yaw is not dissipative: v times the sway force and r times the "
+                    "yaw moment that Y_vv, N_rr and cross-flow take must not add up to less than 0 at any v and r"
                 )
 
     @classmethod

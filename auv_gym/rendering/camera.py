@@ -1,4 +1,4 @@
-"""The contents of a picture, the camera, and the progress of the reference along its path."""
+"""The contents of a picture, and the camera."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.rendering.canvas import ARROW_LENGTH, ARROW_MEMORY, CAMERA_TIME, NEAR_EXTENT, VEHICLE_LENGTH
+from auv_gym.rendering.canvas import ARROW_LENGTH, ARROW_MEMORY, CAMERA_TIME, NEAR_EXTENT
 
 
 class View(NamedTuple):
@@ -19,6 +19,7 @@ class View(NamedTuple):
     state: tuple[float, float, float, float, float, float]  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]
     reference: tuple[float, float, float]  # x, y [m], psi [rad]
     path: Array  # (n, 2) [m] positions of the reference in order of time
+    travelled: int  # index of the present reference in the path
     trail: Array  # (m, 2) [m] past positions, oldest first
     current: tuple[float, float]  # V_x, V_y [m/s] in the world
     force: tuple[float, float]  # F_u [N], F_r [N m] of the actuators
@@ -81,26 +82,3 @@ class Camera:
         half = 0.5 * self.extent[axis] / self.scale
         low, high = (self.center[axis] - half) / spacing, (self.center[axis] + half) / spacing
         return np.arange(math.floor(low), math.ceil(high) + 1, dtype=np.int64)
-
-
-class Progress:
-    """The progress of the reference along its path. It only increases, so crossings and laps are distinguished."""
-
-    def __init__(self) -> None:
-        self._index = 0
-
-    def update(self, view: View, elapsed: float) -> int:
-        """Return the index of the path's point nearest to the reference, at or after the last one.
-
-        If `elapsed` [s] is inf, all points are searched.
-        """
-        if len(view.path) == 0:
-            return 0
-        distance = np.hypot(*(view.path - np.array(view.reference[:2])).T)
-        if math.isinf(elapsed) or self._index >= len(distance):
-            self._index = int(distance.argmin())
-        while self._index + 1 < len(distance) and distance[self._index + 1] <= distance[self._index]:
-            self._index += 1
-        if distance[self._index] > distance.min() + VEHICLE_LENGTH:  # the reference has jumped
-            self._index = int(distance.argmin())
-        return self._index

@@ -13,7 +13,7 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from auv_gym.installation import install
-from auv_gym.rendering.camera import Camera, Progress, View, elapsed_between
+from auv_gym.rendering.camera import Camera, View, elapsed_between
 from auv_gym.rendering.canvas import PICTURE, Canvas
 from auv_gym.rendering.cards import draw_cards
 from auv_gym.rendering.scene import draw_world
@@ -50,7 +50,6 @@ class Renderer:
         self._canvas = Canvas(self._pygame, self._size)
         self._cards = self._size[0] >= READABLE[0] and self._size[1] >= READABLE[1]
         self._camera = Camera(self._canvas.extent)
-        self._progress = Progress()
         self._last: View | None = None
         self._human, self._fps = render_mode == "human", fps
         self._window: Any = None
@@ -66,10 +65,9 @@ class Renderer:
         elapsed = elapsed_between(self._last, view)
         self._last = view
         self._camera.update(view, elapsed)
-        travelled = self._progress.update(view, elapsed)
         if self._human and not self._open_window():
             return None
-        draw_world(self._canvas, self._camera, view, travelled)
+        draw_world(self._canvas, self._camera, view)
         if self._cards:
             draw_cards(self._canvas, self._camera, view)
         if not self._human:

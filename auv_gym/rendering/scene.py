@@ -53,16 +53,13 @@ class Body(NamedTuple):
         return points
 
 
-def draw_world(
-    canvas: Canvas, camera: Camera, view: View, travelled: int, color: Color = VEHICLE, *, velocity: bool = True
-) -> None:
+def draw_world(canvas: Canvas, camera: Camera, view: View, color: Color = VEHICLE, *, velocity: bool = True) -> None:
     """Draw the scene.
 
     Args:
         canvas: the canvas.
         camera: the camera.
         view: the contents.
-        travelled: index of the present reference in the path.
         color: colour of vehicle and trail.
         velocity: whether to draw an arrow of the velocity.
     """
@@ -70,9 +67,9 @@ def draw_world(
     _draw_grid(canvas, camera)
     _draw_current(canvas, camera, view.current)
     path = camera.project(view.path)
-    canvas.line(path[: travelled + 1], PLAN_DONE, 2.5)
+    canvas.line(path[: view.travelled + 1], PLAN_DONE, 2.5)
     draw_trail(canvas, camera.project(view.trail), color)
-    canvas.line(path[travelled:], PLAN, 2.5)
+    canvas.line(path[view.travelled :], PLAN, 2.5)
     draw_ghost(canvas, _body(camera, view.reference))
     _, _, psi, u, v, _ = view.state
     arrow = camera.arrow(np.array(to_world(u, v, math.cos(psi), math.sin(psi)))) if velocity else None

@@ -23,7 +23,7 @@ from auv_gym.physics.errors import to_world
 from auv_gym.physics.faults import fault_rows
 from auv_gym.physics.namespaces import AnyArray, Array, Indices, Namespace, Number
 from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
-from auv_gym.physics.rows import filled, leaves, numbered, spread
+from auv_gym.physics.rows import flatten, numbered, spread, unflatten
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS
@@ -71,7 +71,7 @@ class Gust(NamedTuple):
 
 
 WEATHER = numbered(Weather)  # index of each number of a `Weather`
-WEATHER_ROWS = len(leaves(WEATHER))  # number of rows of a `Weather`
+WEATHER_ROWS = len(flatten(WEATHER))  # number of rows of a `Weather`
 GUST_ROWS = len(Gust._fields)  # number of rows of a `Gust`
 WAVE_ROWS = 7
 """Numbers of a wave component: its angle per control step [rad], then for each axis the amplitudes of sine and cosine
@@ -159,14 +159,14 @@ def kernels() -> Mapping[str, Kernel]:
     """
 
     def gust_recursion(gust: Any, normals: Any, weather: Any) -> dict[str, Any]:
-        after = next_gust(Gust(*gust), normals, filled(WEATHER, weather), SYMBOLS)
+        after = next_gust(Gust(*gust), normals, unflatten(WEATHER, weather), SYMBOLS)
         return {"gust": after, "swing": (after.s_x, after.s_y)}
 
     def wave_loads(load: Any, instant: Any, waves: Any) -> dict[str, Any]:
         return {"load": with_wave(load, instant[0], waves, SYMBOLS)}
 
     def current_and_noise(instant: Any, swing: Any, normals: Any, weather: Any) -> dict[str, Any]:
-        w = filled(WEATHER, weather)
+        w = unflatten(WEATHER, weather)
         return {
             "current": gusty_current(instant[0], swing, w, SYMBOLS),
             "measured": measurement_errors(normals, w),
@@ -295,7 +295,7 @@ class ExogenousInputs:
         self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
         slowest = self._least_speed(indices) if math.isfinite(current.cap) else 0.0
         weather = weather_of(current, dt, slowest, Errors(*noise), Errors(*episodes.bias))
-        self._weather[indices] = spread(leaves(weather), len(indices)).T
+        self._weather[indices] = spread(flatten(weather), len(indices)).T
         if (more := len(waves) - self._waves.shape[1]) > 0:
             self._waves = np.pad(self._waves, ((0, 0), (0, more), (0, 0)))
             self.__dict__.pop("_arrays", None)

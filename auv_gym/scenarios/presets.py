@@ -105,11 +105,12 @@ def list_scenarios() -> list[str]:
 
 
 def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
-    """Return the scenario for an object, the name of a preset, or a dict.
+    """Return the scenario for an object, the name of a preset, a .toml or .json file, or a dict.
 
     PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`.
 
     Raises:
+        OSError: the file cannot be read.
         ValueError: the preset does not exist, or an entry is wrong.
     """
     if isinstance(scenario, Scenario):
@@ -120,7 +121,10 @@ def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
         name, at, vehicle = scenario.partition("@")
         if name in PRESETS:
             return changed(PRESETS[name], vehicle if at else None)
+        if scenario.endswith((".toml", ".json")):
+            return Scenario.load(scenario)
     allowed = (
-        f"a Scenario, a dict, or one of {', '.join(PRESETS)}, optionally with a vehicle, such as cruise-storm@lauv"
+        f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(PRESETS)}, optionally with a vehicle, such "
+        "as cruise-storm@lauv"
     )
     raise ValueError(f"unknown scenario {scenario!r}; allowed are {allowed}")

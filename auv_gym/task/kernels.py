@@ -14,7 +14,7 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, single
 from auv_gym.codegen.kernel import Kernel, KernelRun, together
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.task.observation import SIZE, action_of, decode, encode
 from auv_gym.task.policy import Forces, corrected
 from auv_gym.task.simulation import (
@@ -73,10 +73,10 @@ def step_kernel(parts: Parts, forces: Forces | None = None, *, carried: bool = F
             action = [corrected(*three, SYMBOLS) for three in zip(base, authority, action, strict=True)]
         p = Parameters.of(parameters, parts)
         moved, terms, (reward, failed, squared_error, saturated) = step(
-            filled(PLANT, plant), action, samples, p, SYMBOLS
+            unflatten(PLANT, plant), action, samples, p, SYMBOLS
         )
         outcome = Outcome(reward, failed, SYMBOLS.sqrt(squared_error), saturated)
-        return {f"{after}plant": leaves(moved), f"{after}seen": _observed(terms, forces, parts), "outcome": outcome}
+        return {f"{after}plant": flatten(moved), f"{after}seen": _observed(terms, forces, parts), "outcome": outcome}
 
     rows = {"plant": PLANT_ROWS, "seen": columns(forces), "action": ACTIONS, "authority": ACTIONS}
     return Kernel.traced(equation, {**rows, "samples": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}, ["samples"])
@@ -88,7 +88,7 @@ def start_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
 
     def equation(state: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         plant, terms = start(tuple(state), sample, Parameters.of(parameters, parts), SYMBOLS)
-        return {"plant": leaves(plant), "seen": _observed(terms, forces, parts)}
+        return {"plant": flatten(plant), "seen": _observed(terms, forces, parts)}
 
     return Kernel.traced(equation, {"state": STATES, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS})
 
@@ -230,7 +230,7 @@ class Vehicles:
     @property
     def plant(self) -> Plant:
         """The present plants, rows of shape (N,)."""
-        return filled(PLANT, tuple(self.now.plant))
+        return unflatten(PLANT, tuple(self.now.plant))
 
 
 class OneVehicle:

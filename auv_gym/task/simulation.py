@@ -15,7 +15,7 @@ from auv_gym.physics.errors import to_body, to_world, tracking_errors
 from auv_gym.physics.faults import executed, with_faults
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
-from auv_gym.physics.rows import filled, leaves, numbered
+from auv_gym.physics.rows import flatten, numbered, unflatten
 from auv_gym.physics.sensors import low_pass
 from auv_gym.physics.vehicle import Coefficients, CrossTerms
 from auv_gym.task.observation import failed, reward
@@ -170,15 +170,15 @@ class Parameters(NamedTuple):
     @classmethod
     def of(cls, rows: Sequence[Number], parts: Parts) -> Parameters:
         """Return the parameters for their numbers in the order of the fields."""
-        return filled(PARAMETERS, rows)._replace(parts=parts)
+        return unflatten(PARAMETERS, rows)._replace(parts=parts)
 
 
 PLANT = numbered(Plant)  # index of each number of a plant
 SAMPLE = numbered(Sample)  # index of each number of a sample: `SAMPLE.V_x` is that of the current V_x
 PARAMETERS = numbered(Parameters)  # index of each number of the parameters
-PLANT_ROWS = len(leaves(PLANT))  # number of rows of a plant
-SAMPLE_ROWS = len(leaves(SAMPLE))  # number of rows of a sample
-PARAMETER_ROWS = len(leaves(PARAMETERS))  # number of rows of the parameters
+PLANT_ROWS = len(flatten(PLANT))  # number of rows of a plant
+SAMPLE_ROWS = len(flatten(SAMPLE))  # number of rows of a sample
+PARAMETER_ROWS = len(flatten(PARAMETERS))  # number of rows of the parameters
 REFERENCE = slice(SAMPLE.x_R, SAMPLE.F_rR + 1)  # rows of the reference in a sample
 CURRENT = slice(SAMPLE.V_x, SAMPLE.V_y + 1)  # rows of the current in a sample
 LOAD = slice(SAMPLE.X, SAMPLE.N + 1)  # rows of the external load in a sample
@@ -198,7 +198,7 @@ StepOutcome: TypeAlias = tuple[Number, Number, Number, Number]
 def start(state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) -> tuple[Plant, Terms]:
     """Return the plant with actuators at rest, and the first observation; the low-pass starts at its input."""
     zero = state[0] * 0.0
-    empty = filled(PLANT.memory, (zero,) * PLANT_ROWS)
+    empty = unflatten(PLANT.memory, (zero,) * PLANT_ROWS)
     memory, terms = _observe(state, state, (zero, zero), empty, sample, p._replace(filter_gain=1.0), ns)
     return Plant(*state, zero, zero, zero, zero, memory), terms
 

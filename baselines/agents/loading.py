@@ -17,7 +17,9 @@ from baselines.agents.onnx_models import SUFFIX, OnnxModel
 from baselines.agents.programs import ProgramPolicy
 from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, vehicle_option
-from baselines.similar import made_for
+from baselines.scaling import scaled_for
+from baselines.tools.command_line import described
+from baselines.tools.files import read_bytes
 
 
 def caution(name: str) -> str | None:
@@ -53,7 +55,7 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
         if unknown := [name for name in options if name != allowed]:
             raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}, only {allowed}")
         return (
-            load_model(Path(path), made_for(vehicle, partial(make_controller, "backstepping")), **options)
+            load_model(Path(path), scaled_for(vehicle, partial(make_controller, "backstepping")), **options)
             if model
             else _agent(Path(path), vehicle, **options)
         )
@@ -73,27 +75,35 @@ def _onnx(file: Path) -> Policy:
 
 
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
-    return made_for(vehicle, partial(Agent.load(agent_folder(str(folder)) or folder).policy, fade))
+    if folder.is_dir() and agent_folder(str(folder)) is None:
+        several = sorted(one.parent.name for one in folder.glob("*/agent/agent.json"))
+        hint = f"choose one of its folders {', '.join(several)}" if several else "finish its training with --resume"
+        raise ValueError(f"{folder} has no agent; {hint}")
+    return scaled_for(vehicle, partial(Agent.load(agent_folder(str(folder)) or folder).policy, fade))
 
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:
-    source = file.read_bytes()  # raises OSError if it cannot be read
+    source = read_bytes(file)
     module = ModuleType(f"user_policy_{file.stem}")
     module.__file__ = str(file)
     sys.modules[module.__name__] = module  # dataclasses look up their module here
     try:
         # Not imported: the bytecode that an import keeps is stale if the file changes within a second.
         exec(compile(source, file, "exec", dont_inherit=True), vars(module))
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a user's file can raise anything
+        raise ValueError(f"{file} cannot be imported: {described(error)}") from None
     make = getattr(module, factory, None)
     if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r}")
     known = vehicle.vehicle if isinstance(vehicle, VehicleModel) else vehicle
     try:
         policy: Policy = make(**{**vehicle_option(make, known), **options})
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a user's file can raise anything
+        raise ValueError(f"{factory} of {file} fails: {described(error)}") from None
     if not callable(getattr(policy, "predict", None)):
-        raise ValueError(f"{factory} of {file} returns {policy!r}, which has no method predict")
+        raise ValueError(f"{factory} of {file} returns a {type(policy).__name__}, which has no method predict")
     return policy

@@ -18,7 +18,7 @@ underactuated vehicle of `auv_gym` along a reference from noisy measurements.
 ## Use
 
 ```
-python evaluate.py --suite benchmark-v1 --policy PATH/{name}
+auv-gym evaluate --suite benchmark-v1 --policy PATH/{name}
 ```
 
 `baselines.agents.agent.Agent.load(PATH).policy()` returns the policy. It runs on NumPy, without torch, and runs no code

@@ -20,7 +20,7 @@ from auv_gym.task.preview import shared_preview
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import OUTPUTS, Network, Weights
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
-from baselines.similar import shown_factors
+from baselines.scaling import shown_factors
 
 BLOCK = 128
 """Most vehicles in one call of the network, so that intermediate results stay in the processor's cache."""

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from baselines.evaluation import suites
 from baselines.evaluation.fingerprints import simulator_fingerprint
 from baselines.evaluation.options import Options
-from baselines.evaluation.progress import Listener, progress
+from baselines.evaluation.progress import shown
 from baselines.evaluation.report.files import results_csv, results_json
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import Entry, Result, compare, pool
 from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
-from baselines.evaluation.runner import Run
+from baselines.evaluation.runner import Run, runs
 from baselines.evaluation.submission.files import save_submission, submission_of
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import versions, write_atomically
@@ -33,11 +33,9 @@ def evaluate(request: Request) -> int:
     for note in request.notes:
         print(f"note: {note}", file=sys.stderr)
     try:
-        with progress(request.pairs) as report:
-            found = _run(request, RowStore(out / _ROWS), report)
-            report.message("report")
-            results, pooled = compare(found, request.anchors), pool(found, request.anchors)
-            _write(request, results, pooled)
+        found = _run(request, RowStore(out / _ROWS))
+        results, pooled = compare(found, request.anchors), pool(found, request.anchors)
+        _write(request, results, pooled)
     except OSError as error:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
         return FAILED
@@ -48,7 +46,7 @@ def evaluate(request: Request) -> int:
     return FAILED if any(run.error for run in found) else DONE
 
 
-def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
+def _run(request: Request, store: RowStore) -> list[Run]:
     """Return the runs of a request, cell by cell; each complete run is saved in the store."""
     found, options, simulator = list(request.earlier), request.options, simulator_fingerprint()
     outdated: list[str] = []  # keys of runs of another version of the simulator
@@ -61,7 +59,8 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
             outdated.append(key)
         return run
 
-    for run in report.runs(request.pairs, request.workers, options.step_limit, known):
+    every = runs(request.pairs, request.workers, options.step_limit, known)
+    for run in shown(every, len(request.pairs)):
         store.save(run)
         found.append(run)
     cells = [cell.scenario.name for cell in request.cells]
@@ -71,16 +70,9 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
 
 def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None:
     out = request.options.out
-    files: dict[str, str | bytes] = {}
-    if request.options.png:
-        from baselines.evaluation.report.png import charts_png
-
-        files |= {f"{name}.png": png for name, png in charts_png(results, pooled).items()}
-    files["results.json"] = results_json(request, results, pooled)
-    files["results.csv"] = results_csv(results)
-    files["report.html"] = report_html(request, results, pooled)
-    for name, content in files.items():
-        write_atomically(out / name, content)
+    write_atomically(out / "results.json", results_json(request, results, pooled))
+    write_atomically(out / "results.csv", results_csv(results))
+    write_atomically(out / "report.html", report_html(request, results, pooled))
 
 
 def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run]) -> int:

@@ -26,8 +26,9 @@ class Options:
     name or folder of an agent reduces its corrections outside of the region of its training data."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """A frozen suite: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; a score of 1 is the oracle's),
-    "benchmark-v1-validation", "ood-v1", "unmodelled-v1" or "deep-v1"; the tables also show the recorded results of
-    other policies. Or "presets": all presets, with episodes drawn from the seed."""
+    "benchmark-v1-validation", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "deep-v1", "sealed-v1" or
+    "vehicles-v2", see docs/suites.md. The tables also show the recorded results of other policies. Or "presets": all
+    presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios instead of a suite: names of presets, or .toml and .json files."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -38,8 +39,6 @@ class Options:
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
-    png: bool = False
-    """Also write the report's charts as PNG files."""
     step_limit: float = 0.1
     """Largest mean time of a policy for one action, in seconds; a slower policy fails."""
     submit: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None

@@ -5,11 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
@@ -27,7 +25,7 @@ from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, Anchors, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import make_policy
-from baselines.tools.command_line import UsageError, printable
+from baselines.tools.command_line import UsageError, checked_folder, printable
 from baselines.tools.workers import Workers
 
 T = TypeVar("T")
@@ -210,7 +208,7 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     if not name.endswith((".toml", ".json")):
         known = ", ".join((*others, *PRESETS))
         raise UsageError(f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {known}")
-    scenario = checked(partial(Scenario.load, name))
+    scenario = checked(partial(as_scenario, name))
     if scenario.name != printable(scenario.name):
         raise UsageError(f"{name}: the scenario's name {scenario.name!r} cannot be printed; choose another one")
     checked(partial(make_env, scenario))
@@ -242,22 +240,3 @@ def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
         checked(partial(make_policy, name, PAPER_VEHICLE))  # a factory may require a vehicle
         checked(partial(fingerprint, name))
     return tuple(dict.fromkeys(names))
-
-
-def checked_folder(folder: Path, option: str = "out") -> Path:
-    """Return a folder after creating it if it does not exist, and check that it is writable.
-
-    Args:
-        folder: the folder.
-        option: name of its option, for the message.
-
-    Raises:
-        UsageError: it is not writable.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise UsageError(f"--{option} {folder} is not a folder that can be written to: {error.strerror}") from error
-    return folder

@@ -53,7 +53,7 @@ class Rollout:
     slowest_decision: float  # [s] largest mean time that was compared with the limit, see `Stopwatch`
 
 
-class Moment(NamedTuple):
+class ControlStep(NamedTuple):
     """One control step of N episodes."""
 
     observation: Array  # before the step, shape (N, terms)
@@ -107,7 +107,7 @@ class Stopwatch:
             raise PolicyError(f"a decision takes {mean:.3g} s; allowed are {self.limit:g} s")
 
 
-def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[Moment]:
+def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[ControlStep]:
     """Run a policy and yield each control step, until all episodes have ended.
 
     Args:
@@ -127,12 +127,15 @@ def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None =
         with stopwatch:
             if privileged:
                 privileged.observe(env)
-            action, memory = policy.predict(observation, memory, first)
+            returned = policy.predict(observation, memory, first)
+        if not isinstance(returned, tuple) or len(returned) != 2:
+            raise PolicyError("predict returned no pair; it must return (action, state), with None for no state")
+        action, memory = returned
         stopwatch.count(env.num_envs, k)
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
         first, ended, failed = ended, terminated | truncated, running & terminated
-        yield Moment(
+        yield ControlStep(
             observation, command, reward, info["position_error"], running, failed, info["saturated"], following
         )
         observation, running = following, running & ~ended
@@ -172,7 +175,7 @@ class Repeatable:
         """Take the function that returns the environment and its first observation for a preview."""
         self._begin = cache(begin)
 
-    def play(self, policy: Policy, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[Moment]:
+    def play(self, policy: Policy, steps: int, stopwatch: Stopwatch | None = None) -> Iterator[ControlStep]:
         """Run a policy and yield each control step, see the function `play`."""
         return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps, stopwatch)
 
@@ -182,7 +185,6 @@ def rollout(
     scenario: Scenario,
     episodes: Sequence[Episode],
     step_limit: float = math.inf,
-    on_step: Callable[[int], None] = lambda _: None,
     bodies: MadeBodies | None = None,
 ) -> Rollout:
     """Run a policy in N parallel episodes of a scenario and return the results.
@@ -192,7 +194,6 @@ def rollout(
         scenario: scenario of the episodes.
         episodes: the episodes.
         step_limit: largest mean time of a decision for one vehicle [s], see `Stopwatch`.
-        on_step: called after each control step with the number of steps so far.
         bodies: makes the vehicles of another simulator, if it replaces the plant.
 
     Raises:
@@ -210,7 +211,6 @@ def rollout(
         log.add(k, moment)
         if log.running[:TRACED].any() and k + 1 < scenario.steps:
             log.rows.append(_row(env))
-        on_step(k + 1)
     return Rollout(
         log.measures(scenario),
         log.errors.astype(np.float32),
@@ -230,7 +230,7 @@ class EpisodeLog:
         self.rows: list[Array] = []  # of the traced episodes, see `_row`
         self.running, self._failed, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
-    def add(self, k: int, m: Moment) -> None:
+    def add(self, k: int, m: ControlStep) -> None:
         """Add step k; episodes that have ended keep their last error."""
         self._actions[k], self._rewards[k] = np.clip(m.command, -1.0, 1.0), np.where(m.running, m.reward, 0.0)
         self.errors[k] = np.where(m.running, m.error, self.errors[k - 1])

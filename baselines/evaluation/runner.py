@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import json
 import math
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,7 +26,7 @@ from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 from baselines.policies import make_policy
-from baselines.tools.command_line import printable
+from baselines.tools.command_line import described, printable
 from baselines.tools.workers import Workers
 
 MOST_PARALLEL = 512
@@ -36,9 +35,6 @@ QUANTILES = (0.1, 0.5, 0.9)
 """Quantiles of the position error over episodes, at each control step."""
 STEP_LIMIT = 0.1
 """Default for the largest mean time of a decision [s]: the control period in cruise."""
-
-NOTE_INTERVAL = 0.5
-"""Seconds between two reports of a task's progress."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,6 @@ class Task:
     scenario: Scenario
     episodes: Sequence[Episode]
     step_limit: float = STEP_LIMIT  # [s] largest mean time of a decision
-    note: Callable[[str, int], None] = lambda *_: None  # called with the task's name and its number of vehicle steps
     number: tuple[int, int] = (0, 0)  # number of the run, and of the part of it
 
     def run(self) -> tuple[tuple[int, int], TaskPart]:
@@ -149,36 +144,21 @@ class Task:
             warnings.simplefilter("always")
             try:
                 policy = make_policy(self.policy, self.scenario.known)
-                result = rollout(policy, self.scenario, self.episodes, self.step_limit, self._progress())
+                result = rollout(policy, self.scenario, self.episodes, self.step_limit)
             except PolicyError as exception:
                 error = printable(str(exception))
-            except (Exception, SystemExit) as exception:  # noqa: BLE001, other policies must still run
-                error = printable(" ".join(f"{type(exception).__name__}: {exception}".split()))
-        self._report(self.scenario.steps)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as exception:  # noqa: BLE001, other policies must still run
+                error = described(exception)
         messages = tuple(dict.fromkeys(printable(" ".join(str(warning.message).split())) for warning in caught))
         return self.number, TaskPart(result, error, messages)
-
-    def _progress(self) -> Callable[[int], None]:
-        """Return a function that reports the number of control steps, at most once per `NOTE_INTERVAL`."""
-        last = time.monotonic()
-
-        def on_step(k: int) -> None:
-            nonlocal last
-            if time.monotonic() - last > NOTE_INTERVAL:
-                self._report(k)
-                last = time.monotonic()
-
-        return on_step
-
-    def _report(self, k: int) -> None:
-        self.note("-".join(map(str, self.number)), len(self.episodes) * k)
 
 
 def runs(
     pairs: Sequence[tuple[str, Cell]],
     workers: Workers = Workers(),  # noqa: B008, it is frozen
     step_limit: float = STEP_LIMIT,
-    note: Callable[[str, int], None] = lambda *_: None,
     known: Callable[[str], Run | None] = lambda _: None,
 ) -> Iterator[Run]:
     """Yield the run of each policy in its cell, in the order of completion.
@@ -187,7 +167,6 @@ def runs(
         pairs: names of policies, see `baselines.make_policy`, each with a cell.
         workers: number of parallel tasks.
         step_limit: largest mean time of a decision [s].
-        note: called in the worker process with the name of a task and the number of control steps of all its vehicles.
         known: returns the finished run of a key, or None. A run of another simulator is not used, nor one whose
             decisions took longer than the limit.
     """
@@ -196,11 +175,10 @@ def runs(
     for i, (policy, cell) in enumerate(pairs):
         run = known(run_key(policy, prints[policy], cell.hash))
         if run is not None and run.simulator == simulator and run.slowest_decision <= step_limit:
-            note(f"{i}-0", len(cell.episodes) * cell.scenario.steps)
             yield replace(run, known=True)
             continue
         chunks = enumerate(_chunks(cell.episodes))
-        tasks += [Task(policy, cell.scenario, chunk, step_limit, note, (i, j)) for j, chunk in chunks]
+        tasks += [Task(policy, cell.scenario, chunk, step_limit, (i, j)) for j, chunk in chunks]
     missing = Counter(task.number[0] for task in tasks)
     parts: dict[int, dict[int, TaskPart]] = {}
     for (i, j), part in workers.results(Task.run, [(task,) for task in tasks]):

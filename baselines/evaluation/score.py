@@ -27,7 +27,7 @@ from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings
 EXPERT = "backstepping"  # the policy with score 0
 ORACLE = "oracle"  # a regulator with known plant and disturbances; it has score 1 in the oldest suites
 OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum; it has score 1 in the other suites
-FORESIGHTED = (ORACLE, OPTIMUM_POLICY)
+FULL_INFORMATION = (ORACLE, OPTIMUM_POLICY)
 """Reference policies with information that entries may not use."""
 RIVAL = "nmpc"  # the best policy without learning, with sensors and actuators without faults
 ADVERSE_RIVAL = "nmpc-adverse"  # the best policy without learning, with sensor and actuator faults

@@ -9,7 +9,7 @@ import numpy as np
 
 from auv_gym.task.policy import Policy
 from baselines.evaluation.metrics import Ended, steady_rmse
-from baselines.evaluation.rollout import Moment, Repeatable, beginning
+from baselines.evaluation.rollout import ControlStep, Repeatable, beginning
 from baselines.evaluation.runner import Cell
 
 
@@ -26,7 +26,7 @@ class SideBySide:
         self.steps = max(cell.scenario.steps for cell in cells)
         self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
 
-    def run(self, policy: Policy, watch: Callable[[int, Moment], None] = lambda *_: None) -> list[Ended]:
+    def run(self, policy: Policy, watch: Callable[[int, ControlStep], None] = lambda *_: None) -> list[Ended]:
         """Run a policy and return the outcome of the episodes of each cell, arrays of shape (M,).
 
         Args:

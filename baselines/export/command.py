@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from auv_gym.installation import install
+from auv_gym.scenarios.vehicles import PAPER
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
 from baselines.tools.files import write_atomically
 
 PROGRAM = "auv-gym export"
@@ -34,7 +35,7 @@ class Options:
     """The vehicle: name of a published one, or a .toml file. The exported agent takes observations of this vehicle. If
     the agent needs the vehicle's parameters, they are in the files."""
     out: Path = Path("runs/export")
-    """Folder of the files AGENT.h and AGENT.onnx."""
+    """Folder of the files AGENT.h and AGENT.onnx, or AGENT-VEHICLE.h and so on. Files of these names are replaced."""
     format: Annotated[Literal["all", "c", "onnx"], arg(metavar="{all,c,onnx}")] = "all"
     """Format of the files."""
     precision: Annotated[Literal["float32", "float64"], arg(metavar="{float32,float64}")] = "float32"
@@ -56,9 +57,10 @@ def main(arguments: Sequence[str]) -> int:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")
     try:
-        agent = exported(options.agent, options.vehicle)
+        agent = replace(exported(options.agent, options.vehicle), name=_name(options))
     except ValueError as error:
         raise UsageError(str(error)) from None
+    checked_folder(options.out)
     files: dict[str, bytes] = {}
     if options.format in ("all", "c"):
         files[".h"] = c_header(agent, options.precision, options.weights, options.prefix).encode()
@@ -69,6 +71,13 @@ def main(arguments: Sequence[str]) -> int:
         write_atomically(file, content)
         print(f"written: {file} ({len(content):,} bytes)")
     return DONE
+
+
+def _name(options: Options) -> str:
+    """Return the name of the files: that of the agent or of its run, and that of another vehicle."""
+    path = Path(options.agent)
+    agent = path.resolve().parent.name if path.name == "agent" else path.name
+    return agent if options.vehicle == PAPER.name else f"{agent}-{Path(options.vehicle).stem}"
 
 
 def _onnx(agent: Exported, precision: str) -> bytes:

@@ -98,7 +98,7 @@ class Exported:
 
 
 def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -> Exported:
-    """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.similar`.
+    """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.scaling`.
 
     The bounds of the observations are those of the vehicle model if a name or a file is given, and the paper's for a
     `Vehicle`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +19,12 @@ from baselines.identification import Identified, Log, identify
 from baselines.identification.columns import Format
 from baselines.identification.files import scenario, vehicle_text
 from baselines.identification.held_out import drawing, held_out, section
+from baselines.identification.initial_values import NEEDED
 from baselines.identification.log import joined
 from baselines.identification.model import is_current, names_of
 from baselines.identification.report import MISFIT, report_files, rows
 from baselines.identification.trials import EXAMPLE_CURRENT, example
-from baselines.tools.command_line import DONE, FAILED, UsageError, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, checked_folder, parse
 from baselines.tools.figure_style import styled, to_png
 from baselines.tools.files import write_atomically
 
@@ -66,9 +68,6 @@ class Options:
     Default: all; in logs of forces, cross-flow only if the model does not explain the log without it."""
     through_water: bool = False
     """The speeds u, v are measured through the water, not over ground."""
-    segment: float = 0.0
-    """Length [s] of the segments, each of which is predicted from its initial state. Default: by the vehicle's time
-    constants; in logs of a rudder 60 s."""
     like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
     """Name or file of a vehicle that supplies the parameters that are not identified."""
     ensemble: int = 0
@@ -86,8 +85,11 @@ def main(arguments: Sequence[str]) -> int:
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)
+    if not options.logs:
+        raise UsageError("no LOG is given; name one file or more")
     if options.example:
         return _written_example(options)
+    checked_folder(options.out)
     if not 0 <= options.ensemble <= _LARGEST_ENSEMBLE:
         raise UsageError(f"--ensemble {options.ensemble} must be 0 to {_LARGEST_ENSEMBLE}")
     try:
@@ -98,8 +100,10 @@ def main(arguments: Sequence[str]) -> int:
         )
         known = _known(options.known)
         if options.still_water:
+            if current := [name for name in known if is_current(name)]:
+                raise ValueError(f"--still-water excludes --known {current[0]}")
             known |= {name: 0.0 for name in names_of(log) if is_current(name)}
-        found = identify(log, options.terms or None, not options.through_water, options.segment, known)
+        found = identify(log, options.terms or None, not options.through_water, known)
         result = held_out(found, others[0]) if others else None
     except ValueError as error:
         raise UsageError(str(error)) from error
@@ -146,9 +150,12 @@ def _known(given: Sequence[str]) -> dict[str, float]:
     for text in given:
         name, _, value = text.partition("=")
         try:
-            known[name] = float(value)
+            number = float(value)
         except ValueError:
-            raise UsageError(f"--known {text} must be NAME=VALUE, such as m11=250") from None
+            number = math.nan
+        if name in known or not math.isfinite(number) or (name in NEEDED and number <= 0):
+            raise UsageError(f"--known {text} must be NAME=VALUE, such as m11=250, once for each name; masses > 0")
+        known[name] = number
     return known
 
 
@@ -160,6 +167,8 @@ def _written_example(options: Options) -> int:
     file, *rest = options.logs
     if rest:
         raise UsageError(f"--example writes one log, not {len(options.logs)}")
+    if file.exists():
+        raise UsageError(f"{file} exists; --example does not replace a log, choose another file")
     example(PAPER_VEHICLE, EXAMPLE, sensors, options.seed).save(file)
     V_x, V_y = EXAMPLE_CURRENT
     print(f"written: {file}, one minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")

@@ -22,10 +22,12 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.physics.wind import WindDrag
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.identification import Identified, ParameterEstimate
-from baselines.identification.fit import UNKNOWN
+from baselines.identification.fit import LEFT_OUT, UNKNOWN
 from baselines.identification.model import AHEAD, COEFFICIENTS, CURRENT_NAMES, LIMIT_NAMES, STERN_NAMES, load_of
 
 _TURN = 0.3  # turn rate of the scenario's paths, as a share of the root mean square yaw rate of the log
+
+_INVALID = "; model misfit: they are not valid"
 
 
 @cache
@@ -75,9 +77,9 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
     lines = [
         'name = "identified"',
         f"about = {_quoted(f'a vehicle fitted to the log {log}')}",
-        'source = "auv-gym identify; 95 % intervals stand behind the values"',
+        f'source = "auv-gym identify; 95 % intervals stand behind the values{_INVALID if found.misfit else ""}"',
         f"left_out = {_quoted(f'{left_out}; not from the log: {missing}')}",
-        'ours = "the speed, the mean of the log"',
+        'assumed = "the speed, the mean of the log"',
     ]
     if found["lag"].value > 0:
         lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
@@ -85,7 +87,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators 
     for name in COEFFICIENTS:
         estimate, value = found[name], getattr(vehicle, name)
         note = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
-        if value or estimate.verdict != UNKNOWN:
+        if value or estimate.verdict not in (UNKNOWN, LEFT_OUT):
             lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {note}")
     if vehicle.eps:
         lines.append(f"eps = {float(f'{vehicle.eps:.6g}')!r}  # [m] m33 / (m22 arm)")

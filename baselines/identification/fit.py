@@ -19,7 +19,6 @@ from baselines.identification.initial_values import (
     NEEDED,
     NO_INITIAL_VALUES,
     OPTIONAL,
-    check_segment,
     initial_values,
     segment_length,
     segment_starts,
@@ -164,7 +163,6 @@ def identify(
     log: Log,
     terms: Sequence[str] | None = None,
     over_ground: bool = True,
-    segment: float = 0.0,
     known: Mapping[str, float] | None = None,
 ) -> Identified:
     """Return the vehicle model with the least squared prediction errors on a log.
@@ -177,13 +175,10 @@ def identify(
             one first, if they do not differ significantly from 0. None: all without cross-flow, in a log of a rudder
             all.
         over_ground: whether u, v are measured over ground; otherwise through water.
-        segment: length [s] of the segments, each of which is predicted from its own initial state; 0: by the vehicle's
-            time constants, or 60 s in a log of a rudder.
         known: values of parameters that are not fitted, by name.
 
     Raises:
-        ValueError: an unknown term or parameter, a segment that is too short or too long, or a log on which the
-            simulator diverges.
+        ValueError: an unknown term or parameter, or a log on which the simulator diverges.
     """
     known = {} if known is None else known
     candidates = (DEFAULT_TERMS if log.kind == "force" else OPTIONAL) if terms is None else tuple(terms)
@@ -191,9 +186,8 @@ def identify(
         raise ValueError(f"{unknown[0]!r} is not an optional parameter of a vehicle; allowed are {', '.join(OPTIONAL)}")
     if unknown := [name for name in known if name not in names_of(log)]:
         raise ValueError(f"{unknown[0]!r} is not a parameter of this log; allowed are {', '.join(names_of(log))}")
-    check_segment(log, segment)
     initial = initial_values(log, over_ground, candidates, known)
-    length, rows = segment_length(log, initial.values, segment), LONGER * FIRST_SEGMENT
+    length, rows = segment_length(log, initial.values), LONGER * FIRST_SEGMENT
     last: _BackwardElimination | None = None
     while True:  # the fit of short segments gives initial values for longer ones
         starts = segment_starts(log, min(rows * log.dt, length))

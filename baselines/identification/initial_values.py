@@ -42,13 +42,6 @@ NO_INITIAL_VALUES = (
 """Message if no initial values are found."""
 
 
-def check_segment(log: Log, segment: float) -> None:
-    """Raise ValueError if the length of segments [s] is too short or too long for a log; 0 is allowed."""
-    least, most = SHORTEST_SEGMENT * log.dt, log.duration / MIN_SEGMENTS
-    if segment and not least <= segment <= most:
-        raise ValueError(f"a segment is {segment:g} s; for this log it must be in [{least:.3g}, {most:.3g}] s")
-
-
 def initial_values(log: Log, over_ground: bool, terms: Sequence[str], known: Mapping[str, float]) -> InitialValues:
     """Return initial values for a log: for forces those of linear fits that are refined on short segments.
 
@@ -143,13 +136,11 @@ def _hidden(model: LogModel, initial: InitialValues, terms: Sequence[str]) -> se
     return {name for name, effect in zip(names, effects, strict=True) if effect < _FAINT}
 
 
-def segment_length(log: Log, values: Array, segment: float) -> float:
-    """Return the length of segments [s]: the given one, or for 0 a multiple of the vehicle's time constant.
+def segment_length(log: Log, values: Array) -> float:
+    """Return the length of segments [s]: a multiple of the vehicle's time constant.
 
-    In logs of a rudder the default is the horizon of the predictions of held-out runs.
+    In logs of a rudder it is the horizon of the predictions of held-out runs.
     """
-    if segment:
-        return segment
     length = RELAXATIONS * float((values[:3] / values[3:6]).max()) if log.kind == "force" else Windows.horizon
     return min(max(length, SHORTEST_SEGMENT * log.dt), log.duration / MIN_SEGMENTS)
 

@@ -8,6 +8,7 @@ import os
 import shlex
 import signal
 import sys
+import tempfile
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
@@ -68,6 +69,34 @@ def printable(text: str) -> str:
     A terminal would obey the first, and the second cannot be encoded as UTF-8.
     """
     return "".join(c if unicodedata.category(c) not in ("Cc", "Cs") else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def checked_folder(folder: Path, option: str = "out") -> Path:
+    """Return a folder after creating it if it does not exist, and check that it is writable.
+
+    Args:
+        folder: the folder.
+        option: name of its option, for the message.
+
+    Raises:
+        UsageError: it is not writable.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UsageError(f"--{option} {folder} is not a folder that can be written to: {error.strerror}") from error
+    return folder
+
+
+def described(error: BaseException) -> str:
+    """Return the class and the message of an exception on one line; the message of a user's exception may fail."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # noqa: BLE001
+        text = "its message cannot be printed"
+    return printable(f"{type(error).__name__}: {text}")
 
 
 def _first_paragraph(box: str) -> str:

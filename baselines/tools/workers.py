@@ -77,7 +77,7 @@ def _in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]],
         yield from found
 
 
-class Elsewhere:
+class ProcessObject:
     """An object in its own worker process, whose methods are called from this process; see `Workers.results`.
 
     The process ends after `close`, or when its parent ends.
@@ -112,7 +112,7 @@ class Elsewhere:
 
 
 _kept: list[Any] = []
-"""The object of an `Elsewhere` in its process."""
+"""The object of an `ProcessObject` in its process."""
 
 
 def _keep(make: Callable[..., Any], arguments: Sequence[Any]) -> None:

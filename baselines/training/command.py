@@ -63,7 +63,7 @@ def train_one(
     """
     label = f"{folder.name}: " if one_of_several else ""
     if (folder / AGENT_FOLDER).exists():
-        return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT_FOLDER}"
+        return DONE, f"{label}{folder} holds the finished agent: auv-gym evaluate --policy {folder / AGENT_FOLDER}"
     try:
         with locked(folder), nullcontext(_plain(label)) if one_of_several else _live(config) as show:
             run = RunFolder(config, folder, show, processes)

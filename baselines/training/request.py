@@ -15,9 +15,9 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
-from baselines.evaluation.request import checked, checked_folder, checked_scenario
+from baselines.evaluation.request import checked, checked_scenario
 from baselines.evaluation.score import EXPERT
-from baselines.tools.command_line import UsageError
+from baselines.tools.command_line import UsageError, checked_folder
 from baselines.tools.workers import Workers
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import (
@@ -168,7 +168,7 @@ def _holds(config: Config, folder: Path, resume: bool) -> bool:
     there = checked(partial(read_config, folder))
     if there is None:
         if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
-            raise UsageError(f"--out {folder} is not empty and holds no run of train.py; choose another folder")
+            raise UsageError(f"--out {folder} is not empty and holds no run of `auv-gym train`; choose another folder")
         return False
     if (mine := config.to_dict()) != (theirs := there.to_dict()):
         name = next(key for key in mine if mine[key] != theirs[key])

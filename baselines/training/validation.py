@@ -14,7 +14,7 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import Policy
 from baselines.agents.features import ERROR_FEATURES, scaled_errors
-from baselines.evaluation.rollout import Moment
+from baselines.evaluation.rollout import ControlStep
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import capped, error_cap, has_failed, speed_range_of
 from baselines.evaluation.side_by_side import SideBySide
@@ -74,7 +74,7 @@ class Validation:
         """
         scaled = np.full((self._episodes.steps, ERROR_FEATURES, len(self._episodes.of)), math.nan)
 
-        def watch(k: int, moment: Moment) -> None:
+        def watch(k: int, moment: ControlStep) -> None:
             seen = scaled_errors(decode_observation(moment.observation), ARRAYS)
             scaled[k] = np.where(moment.running, seen, math.nan)
 

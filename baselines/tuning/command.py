@@ -1,8 +1,7 @@
 """Tune a controller's gains on tuning episodes: `auv-gym tune --help`.
 
 The objective is the error from which the score is computed: the mean over the cases of a speed range of the
-steady-state RMSE, which is limited to the error cap in each episode. With a price p the objective is this error times
-the mean squared change of the command to the power p, which gives smoother commands.
+steady-state RMSE, which is limited to the error cap in each episode.
 """
 
 from __future__ import annotations
@@ -42,13 +41,12 @@ PROGRAM = "auv-gym tune"
 class Options:
     """Tune the gains of a controller and write them to baselines/gains/NAME-SPEED_RANGE.json, with their provenance.
 
-    The search starts at the entry "start" of that file. With a price it starts at the entry "gains", and writes to
-    runs/tune/NAME-SPEED_RANGE-PRICE.json.
+    The search starts at the entry "start" of that file.
     For another vehicle the search starts at the shipped gains, in the units of the vehicle, and writes to
     runs/tune/NAME-SPEED_RANGE@VEHICLE.json. Use these gains with make_policy(NAME, vehicle=..., gains=...).
     Exit status: 0 done, 2 wrong usage.
 
-    Example: auv-gym tune los-pid --speed-range cruise --dry
+    Example: auv-gym tune los-pid --speed-range cruise --dry-run
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
@@ -59,13 +57,11 @@ class Options:
     """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
     """Episodes of each evaluation, a multiple of 16, so that each case has the same number."""
-    price: float = 0.0
-    """Minimise the error times the mean squared change of the command to this power; 0: the error alone."""
     start: Path | None = None
     """A file of gains; the search starts at its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""
-    dry: bool = False
+    dry_run: bool = False
     """Print the result; do not write the file."""
 
 
@@ -88,14 +84,16 @@ def main(arguments: Sequence[str]) -> int:
         tuning_scenarios(options.speed_range, tunable.world, vehicle_model)
     except ValueError as error:  # its fins have no effect at such a low speed
         raise UsageError(str(error)) from error
-    gains = tune(factory, draw, start, budget, options.price) if options.evaluations else dict(start)
+    try:
+        gains = tune(factory, draw, start, budget) if options.evaluations else dict(start)
+    except ImportError as error:
+        raise UsageError(str(error)) from None
     record = {
         "policy": options.name,
         "speed_range": options.speed_range,
         **({} if vehicle_model == PAPER else {"vehicle": vehicle_model.name}),
         "gains": gains,
         "start": dict(start),
-        **({"price": options.price} if options.price else {}),
         "command": typed(PROGRAM, arguments),
         "evaluations": options.evaluations,
         "episodes": options.episodes,
@@ -105,7 +103,7 @@ def main(arguments: Sequence[str]) -> int:
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }
     print(json.dumps(record, indent=2))
-    if not options.dry:
+    if not options.dry_run:
         write_atomically(_file(options), json.dumps(record, indent=2) + "\n")
     return DONE
 
@@ -129,8 +127,6 @@ def _file(options: Options) -> Path:
     """Return the file to which the gains are written."""
     if options.vehicle != PAPER.name:
         return Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
-    if options.price:
-        return Path("runs/tune") / f"{options.name}-{options.speed_range}-{options.price:g}.json"
     return gain_file(options.name, options.speed_range)
 
 
@@ -151,10 +147,6 @@ def _checked(options: Options) -> Budget:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")
     if options.evaluations < 0:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
-    if not 0 <= options.price <= 1:
-        raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
-    if options.vehicle != PAPER.name and options.price:
-        raise UsageError("--vehicle excludes --price")
     budget = Budget(options.evaluations, options.episodes)
     if budget.last_seed > VALIDATION_SEED:
         raise UsageError(
@@ -166,12 +158,11 @@ def _checked(options: Options) -> Budget:
 
 def _start(options: Options, tunable: Tunable, own: VehicleModel) -> GainSet:
     """Return the initial gains of the search for a vehicle in the paper's units."""
-    part = "gains" if options.price else "start"
     try:
         if options.start is not None:
             start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))
         elif own == PAPER:
-            start = load_gains(options.name, options.speed_range, tunable.names, part)
+            start = load_gains(options.name, options.speed_range, tunable.names, "start")
         else:
             start = adapted_gains(options.name, options.speed_range, tunable.names, own)
     except (AttributeError, OSError) as error:

@@ -20,7 +20,7 @@ from auv_gym.installation import install
 from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
 from baselines.tools.seeds import TUNING, TUNING_CHECK
-from baselines.tuning.objective import Result, TuningEpisodes
+from baselines.tuning.objective import TuningEpisodes
 
 EVALUATIONS = 300
 """Evaluations of a search, the same for all controllers."""
@@ -61,9 +61,7 @@ class Budget:
         return TUNING_SEED + (self.generations + RUN_OFF) * self.episodes
 
 
-def tune(
-    factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = None, price: float = 0.0
-) -> dict[str, float]:
+def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = None) -> dict[str, float]:
     """Return the best gains of a search.
 
     Args:
@@ -71,7 +69,6 @@ def tune(
         draw: returns episodes.
         start: initial gains, positive.
         budget: of the search.
-        price: power of the command's smoothness in the objective, see `priced`.
     """
     budget = budget or Budget()
     names, centre = list(start), np.log(np.array(list(start.values())))
@@ -80,7 +77,7 @@ def tune(
 
     def cost(x: Array, episodes: TuningEpisodes) -> float:
         result = episodes.run(factory(_gains(names, x)))
-        return priced(result, price)
+        return result.error_m
 
     if budget.generations:
         cma = strategies()
@@ -113,11 +110,6 @@ def strategies() -> Any:
     except ImportError as error:
         raise ImportError(f"tuning needs an evolution strategy: {install('tuning')}") from error
     return cma
-
-
-def priced(result: Result, price: float) -> float:
-    """Return the objective: the error times the smoothness to the power `price`."""
-    return result.error_m * result.smoothness**price if price else result.error_m
 
 
 def _gains(names: Sequence[str], x: Array) -> dict[str, float]:

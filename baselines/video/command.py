@@ -19,7 +19,7 @@ from baselines.evaluation.request import checked, checked_policies, checked_scen
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, parse, printable
 from baselines.tools.workers import Workers
 from baselines.video.files import WRITERS, save_video
 from baselines.video.layout import MOST_PANELS
@@ -110,6 +110,9 @@ def _checked(options: Options) -> tuple[int, int]:
     """
     if options.out.suffix not in WRITERS:
         raise UsageError(f"--out is {options.out}; its name must end in {', '.join(WRITERS)}")
+    if options.out.is_dir():
+        raise UsageError(f"--out {options.out} is a folder; give the name of a file")
+    checked_folder(options.out.parent)
     if not 1 <= len(options.policy) <= MOST_PANELS:
         raise UsageError(f"--policy names {len(options.policy)} policies; a video shows 1 to {MOST_PANELS}")
     for name, least, most in (("seed", 0, 2**62), ("episodes", 1, _MOST_EPISODES), ("fps", 1, 60)):

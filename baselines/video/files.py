@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -66,16 +67,19 @@ def _write_mp4(frames: Frames, out: Path, fps: int) -> None:
     except ImportError as error:
         raise DependencyNotInstalled(f"a video needs ffmpeg: {install('render')}") from error
     video = None
-    for frame in frames:
-        even = np.ascontiguousarray(
-            frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2]
-        )  # the codec needs even sizes
-        if video is None:
-            video = write_frames(str(out), even.shape[1::-1], fps=fps, macro_block_size=2)
-            video.send(None)
-        video.send(even)
-    if video is not None:
-        video.close()
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        unfinished = Path(folder) / out.name
+        try:
+            for frame in frames:
+                height, width = len(frame) // 2 * 2, frame.shape[1] // 2 * 2  # the codec needs even sizes
+                if video is None:
+                    video = write_frames(str(unfinished), (width, height), fps=fps, macro_block_size=2)
+                    video.send(None)
+                video.send(np.ascontiguousarray(frame[:height, :width]))
+        finally:
+            if video is not None:
+                video.close()
+        unfinished.replace(out)
 
 
 WRITERS: Mapping[str, Callable[[Frames, Path, int], None]] = {

@@ -116,6 +116,7 @@ class FrameRenderer:
             state=tuple(instant.state.tolist()),
             reference=(x, y, psi),
             path=self._path,
+            travelled=int(np.searchsorted(trajectory.time, time, side="right")) - 1,
             trail=np.vstack((recent, instant.state[:2])),
             current=tuple(instant.current.tolist()),
             force=(0.0, 0.0),
@@ -123,8 +124,7 @@ class FrameRenderer:
             position_error=instant.error,
             title="",
         )
-        travelled = int(np.searchsorted(trajectory.time, time, side="right")) - 1
-        draw_world(canvas, camera, view, travelled, panel.colour, velocity=False)
+        draw_world(canvas, camera, view, panel.colour, velocity=False)
         if self._waves:
             arrow = camera.arrow(instant.waves * (self._arrow / self._waves))
             canvas.arrows(camera.project(instant.state[None, :2]), arrow, [WAVES], 2.5)

@@ -17,15 +17,16 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.policy import Policy
 from baselines.agents.names import shipped_agents
 from baselines.evaluation import recorded, suites
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.rollout import Moment, Repeatable, beginning, rollout
+from baselines.evaluation.rollout import ControlStep, Repeatable, beginning, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import Score, capped, error_cap, fixed, fixed_ends, lead, speed_range_of
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, check_words, checked_record, parse
-from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
+from baselines.tools.files import json_text, write_atomically
 from research.deployment.emulator import emulated
 from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
@@ -35,6 +36,8 @@ _SUITE = "benchmark-v1"  # suite of the score
 _CASE = "storm"  # case in which commands are compared: all disturbances together
 _SEED = 5  # seed of the episodes in which commands are compared
 _DECISIONS = 200  # number of decisions on the emulated processor
+AGENTS = ("apg-cruise", "helm", "helm-any", "helm-small", "ppo-cruise", "sac-cruise")
+"""Agents by default: one of each network and set of inputs."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +47,10 @@ class Options:
     Exit status: 0 done, 1 a program is missing, 2 wrong usage.
     """
 
-    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]")] = ()
-    """Names of shipped agents. Default: all."""
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]", help_behavior_hint="")] = AGENTS
+    """Names of shipped agents. Default: six, one of each kind."""
     episodes: int = 24
-    """Episodes of each cell of the suite for the score; in one file, those of all agents are equal."""
+    """Episodes of each cell of the suite for the score."""
     out: Path = MEASURED_FILE
     """File for the measurements; `python -m research pages export-cost` shows them."""
 
@@ -57,6 +60,7 @@ class Measured:
     """Measurements of one agent."""
 
     name: str
+    fingerprint: str
     onnx64: float  # largest difference of a command over whole episodes, each in its own closed loop
     onnx32: float
     c64: float
@@ -103,6 +107,7 @@ def _measured(name: str, episodes: int) -> Measured:
     scores = _scores(name, {"float32": header, "int8": header8}, episodes)
     return Measured(
         name=name,
+        fingerprint=fingerprint(name),
         onnx64=differences["onnx64"],
         onnx32=differences["onnx32"],
         c64=differences["c64"],
@@ -119,7 +124,7 @@ def _measured(name: str, episodes: int) -> Measured:
     )
 
 
-def _moments(agent: Exported, policy: Policy) -> list[Moment]:
+def _moments(agent: Exported, policy: Policy) -> list[ControlStep]:
     """Return the control steps of a policy in the episodes in which commands are compared."""
     scenario = PRESETS[f"{speed_range_of(agent.agent.scenarios[0])}-{_CASE}"]
     cell = scenario, drawn(scenario, 4, _SEED).episodes
@@ -185,9 +190,8 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, shipped_agents())
-    kept = _kept(options.out, options.episodes) if options.name else {}
     found = []
-    for name in options.name or shipped_agents():
+    for name in options.name:
         try:
             found.append(_measured(name, options.episodes))
         except ImportError:
@@ -195,23 +199,6 @@ def main(arguments: Sequence[str]) -> int:
         last = found[-1]
         loss = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, loss of score {loss}", flush=True)
-    agents = kept | {m.name: asdict(m) for m in found}
-    record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
+    record = {"episodes": options.episodes, "agents": [asdict(measured) for measured in found]}
     write_atomically(options.out, json_text(record))
     return DONE
-
-
-def _kept(file: Path, episodes: int) -> dict[str, Any]:
-    """Return the earlier measurements of a file, by agent.
-
-    Raises:
-        UsageError: the file is not a record of this command, or its measurements have another number of episodes.
-    """
-    if not file.exists():
-        return {}
-    with checked_record(file, PROGRAM):
-        record = read_json(file)
-        kept, agents = record["episodes"], {own["name"]: own for own in record["agents"]}
-    if kept != episodes:
-        raise UsageError(f"{file} has measurements with {kept} episodes: use --episodes {kept}, or measure all agents")
-    return agents

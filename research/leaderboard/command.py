@@ -15,22 +15,20 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.about import About
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.request import checked_folder
 from baselines.evaluation.runner import STEP_LIMIT
 from baselines.evaluation.submission.command import check_numbers, episodes_to_run, read_file, reproduce
 from baselines.evaluation.submission.files import Submission, submission_of
 from baselines.evaluation.submission.reproduction import REPRODUCED_SHARE
 from baselines.evaluation.submission.scores import anchor_errors
 from baselines.policies import list_policies
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, parse
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
 from research.leaderboard.board import boards, enter, stamp
-from research.leaderboard.page import leaderboard_json, leaderboard_page
+from research.leaderboard.page import leaderboard_page
 
 PROGRAM = "python -m research leaderboard"
 PAGE = "leaderboard.md"  # file of the page
-TABLE = "leaderboard.json"  # file of the table as data
 OWN = ("backstepping", "nmpc", "helm", "apg-preview-cruise", "apg-preview-slow")
 """Policies of the project on the leaderboard."""
 SUITE = "benchmark-v2"
@@ -58,7 +56,7 @@ class Options:
     folder: Path = Path("leaderboard")
     """Folder of the leaderboard, with files SUITE/NAME.npz."""
     out: Path = Path("docs")
-    """Folder for the page, leaderboard.md, and for leaderboard.json."""
+    """Folder for the page, leaderboard.md."""
     jobs: int = DEFAULT_JOBS
     """Worker processes."""
 
@@ -129,10 +127,9 @@ def _page(options: Options) -> int:
     if not found:
         raise UsageError(f"there is no submission in --folder {options.folder}; the files must be SUITE/NAME.npz")
     checked_folder(options.out)
-    for name, text in ((PAGE, leaderboard_page(found)), (TABLE, leaderboard_json(found))):
-        write_atomically(options.out / name, text)
+    write_atomically(options.out / PAGE, leaderboard_page(found))
     count = sum(len(board.submissions) for board in found)
-    print(f"Wrote {options.out / PAGE} and {options.out / TABLE}: {count} entries")
+    print(f"Wrote {options.out / PAGE}: {count} entries")
     return DONE
 
 

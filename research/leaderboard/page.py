@@ -1,16 +1,13 @@
-"""The leaderboard as a page and as JSON."""
+"""The page of the leaderboard."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
 
-from baselines.evaluation.report.columns import COLUMNS, record
+from baselines.evaluation.report.columns import COLUMNS
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.submission.files import Submission
-from baselines.tools.files import json_text
 from research.leaderboard.board import Leaderboard
 
 PROGRAM = "python -m research leaderboard"
@@ -29,7 +26,7 @@ All submitted policies, by suite and speed range, the best first. To add yours s
 - *Verified* entries were run again by the project, on a random share of their episodes. Of the others only the file was
   checked.
 
-[Evaluation](metrics.md) has the definitions, and [leaderboard.json](leaderboard.json) the table as data.
+[Evaluation](metrics.md) has the definitions.
 """
 _NONE = "-"  # text of a missing value
 NBSP = "\N{NO-BREAK SPACE}"  # space within a line of a cell
@@ -118,21 +115,3 @@ def _short(count: float) -> str:
 def plain(text: str) -> str:
     """Return a submitter's text with all punctuation escaped, so that it contains no Markdown and no HTML."""
     return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
-
-
-def leaderboard_json(boards: Sequence[Leaderboard]) -> str:
-    """Return the leaderboard as strict JSON, with null in place of NaN."""
-    suites = {}
-    for board in boards:
-        by_name = {s.name: s for s in board.submissions}
-        suites[board.suite.name] = {
-            "hash": board.suite.hash,
-            "entries": [_record(board, entry, by_name[entry.policy]) for entry in board.entries],
-        }
-    return json_text({"suites": suites})
-
-
-def _record(board: Leaderboard, entry: Entry, s: Submission) -> dict[str, Any]:
-    own = {"name": s.name, "speed_range": entry.place, **record(entry), **asdict(s.about)}
-    own |= {"policy": s.policy, "fingerprint": s.fingerprint, "date": s.date, "versions": dict(s.versions)}
-    return own | {"verified": board.verified.get(s.name)}

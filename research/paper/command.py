@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.evaluation.request import checked_folder
-from baselines.tools.command_line import DONE, FAILED, parse
+from baselines.tools.command_line import DONE, FAILED, checked_folder, parse
 from baselines.tools.files import json_text, write_atomically
 from research.paper.figures import paper_figures
 from research.paper.numbers import reproduce_paper

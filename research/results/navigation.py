@@ -8,7 +8,7 @@ import numpy as np
 
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.metrics import bootstrap_interval
-from baselines.evaluation.score import FORESIGHTED, speed_range_of
+from baselines.evaluation.score import FULL_INFORMATION, speed_range_of
 from research.pages import table
 from research.results.collection import Results
 from research.suites.deep import navigation_rmses
@@ -32,7 +32,7 @@ def navigation_alone(results: Results, speed_range: str) -> dict[str, Array]:
 def additional_errors(results: Results, navigation: Mapping[str, Array]) -> dict[str, str]:
     """Return the error [mm] that each policy adds to the navigation error, with its interval, as text."""
     found = {}
-    for policy in [p for p in results.policies if p not in FORESIGHTED]:
+    for policy in [p for p in results.policies if p not in FULL_INFORMATION]:
         own = [results.cases[case][policy] for case in navigation if policy in results.cases[case]]
         if navigation and len(own) == len(navigation):
             pairs = zip((m.steady_rmse for m in own), navigation.values(), strict=True)

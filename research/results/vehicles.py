@@ -17,7 +17,7 @@ from baselines.control import POLICIES
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.score import (
-    FORESIGHTED,
+    FULL_INFORMATION,
     OPTIMUM_POLICY,
     RIVAL,
     Score,
@@ -134,7 +134,7 @@ def vehicles_of(results: Results) -> list[str]:
 
 def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]:
     """Return for each vehicle how the agent and the optimum compare with the controller of the smallest error."""
-    rows, controllers = [], [policy for policy in pairs if policy in POLICIES and policy not in FORESIGHTED]
+    rows, controllers = [], [policy for policy in pairs if policy in POLICIES and policy not in FULL_INFORMATION]
     for vehicle in vehicles_of(results):
         own = {policy: pair.on(vehicle) for policy, pair in pairs.items()}
         errors = {policy: own[policy].error.mean for policy in controllers}
@@ -234,7 +234,7 @@ def figures(_: str = "") -> dict[str, bytes]:
 
 def _map(results: Results, vehicles: Sequence[str]) -> Figure:
     """Return the heat map of the error ratios: a row for each policy, a column for each vehicle, two speed ranges."""
-    own = {speed_range: {p: pair for p, pair in pairs_of(results, speed_range).items() if p not in FORESIGHTED}
+    own = {speed_range: {p: pair for p, pair in pairs_of(results, speed_range).items() if p not in FULL_INFORMATION}
            for speed_range in SPEED_RANGES}  # fmt: skip
     fig, [axes] = panels(1, len(own), (9.6, 1.6 + 0.27 * max(map(len, own.values()))))
     for ax, (speed_range, pairs) in zip(axes, own.items(), strict=True):

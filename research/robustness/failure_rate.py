@@ -23,12 +23,12 @@ from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import failure_bound
-from baselines.evaluation.request import checked_folder, checked_policies, checked_scenario
+from baselines.evaluation.request import checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import count_failures, error_cap
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_record, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.seeds import FAILURE_RATE

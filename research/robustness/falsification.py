@@ -26,13 +26,13 @@ from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.request import checked_folder, checked_policies
+from baselines.evaluation.request import checked_policies
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import ERROR_CAPS, capped, count_failures
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, checked_folder, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.search import strategies
 from research import DATA, DOCS

@@ -15,11 +15,11 @@ from tyro.conf import arg
 from baselines.agents.names import CHECKED, GUARD
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.progress import run_and_show
-from baselines.evaluation.request import checked_folder, checked_policies
+from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
 from baselines.evaluation.suites import load_suite
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
 from baselines.tools.files import read_json
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 from research import DATA

@@ -18,12 +18,12 @@ from auv_gym.physics.namespaces import Array
 from baselines.agents.names import GUARD
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.request import checked_folder, checked_policies
+from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import EXPERT, capped, error_cap, has_failed
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, check_words, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, checked_folder, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 

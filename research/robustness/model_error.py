@@ -28,13 +28,12 @@ from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation import recorded
-from baselines.evaluation.request import checked_folder
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import (
     ERROR_CAPS,
     EXPERT,
-    FORESIGHTED,
+    FULL_INFORMATION,
     RIVAL,
     Score,
     capped,
@@ -45,8 +44,8 @@ from baselines.evaluation.score import (
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load_suite
 from baselines.policies import list_policies, make_policy
-from baselines.similar import made_for
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
+from baselines.scaling import scaled_for
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, checked_folder, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.seeds import SENSITIVITY
@@ -62,10 +61,6 @@ ERROR_SIZES = (0.2, 0.4, 0.6)
 """Largest relative errors of a parameter; errors are uniform between plus and minus the largest one."""
 _MODELS = 12
 """Number of wrong models of each size, the same ones for all policies."""
-_EPISODES = 12
-"""Number of episodes of each case, the first ones of the suite."""
-FEWER: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
-"""Numbers of models and episodes of slow policies, which run with the largest size only."""
 KEPT_EPISODES = 3
 """Number of episodes of each case whose errors are recorded one by one, with the true and the first wrong model."""
 
@@ -121,26 +116,25 @@ def cells_of(speed_range: str, episodes: int) -> list[Cell]:
     return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((speed_range,))]
 
 
-def with_wrong_models(name: str, speed_range: str, episodes: int | None = None) -> dict[str, Any]:
+def with_wrong_models(name: str, speed_range: str, episodes: int) -> dict[str, Any]:
     """Return the results of a policy with the true and with wrong vehicle models, as JSON values.
 
     Args:
         name: name of the policy, which must use the observation only.
         speed_range: "slow" or "cruise".
-        episodes: number of episodes of each case. None: `_EPISODES`, or that of `FEWER`.
+        episodes: number of episodes of each case.
 
     Raises:
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    models, usual = FEWER.get(name, (_MODELS, _EPISODES))
-    sizes, cells = ERROR_SIZES[-1:] if name in FEWER else ERROR_SIZES, cells_of(speed_range, episodes or usual)
+    cells = cells_of(speed_range, episodes)
     vehicle, batch = cells[0].scenario.vehicle, SideBySide(cells)
     zero, one = (_recorded(policy, speed_range, cells) for policy in load_suite(_SUITE).anchors)
     right, failed = _steady_rmses(name, vehicle, batch, speed_range)
 
     def compared(wrong: _ParameterSet, size: float) -> dict[str, Any]:
-        wrong_models = (wrong_model(vehicle, model_errors(k), size, wrong) for k in range(models))
+        wrong_models = (wrong_model(vehicle, model_errors(k), size, wrong) for k in range(_MODELS))
         results = [_steady_rmses(name, model, batch, speed_range) for model in wrong_models]
         rows = [np.array(own) for own in zip(*(steady_rmses for steady_rmses, _ in results), strict=True)]
         return {"size": size, "failed": [own for _, own in results], **_compared(zero, right, rows, one)}
@@ -154,7 +148,7 @@ def with_wrong_models(name: str, speed_range: str, episodes: int | None = None) 
             "error_m": [round(float(row.mean()), 6) for row in right],
             "first_m": [np.round(row[:KEPT_EPISODES], 6).tolist() for row in right],
         },
-        "wrong": {key: [compared(wrong, size) for size in sizes] for key, wrong in PARAMETER_SETS.items()},
+        "wrong": {key: [compared(wrong, size) for size in ERROR_SIZES] for key, wrong in PARAMETER_SETS.items()},
     }
 
 
@@ -199,22 +193,22 @@ def policy_with(name: str, vehicle: Vehicle) -> Policy:
     """
     if (folder := agent_folder(name)) is None:
         return make_policy(name, vehicle)
-    return made_for(vehicle, lambda known: Agent.load(folder).policy(vehicle=known, precision=_PRECISION))
+    return scaled_for(vehicle, lambda known: Agent.load(folder).policy(vehicle=known, precision=_PRECISION))
 
 
 @dataclass(frozen=True)
 class Options:
     """Measure the sensitivity of policies to model error and write a file for each policy.
 
-    It takes about ten minutes on one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
+    It takes about twenty minutes on one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
     """Policies by name, or agents by their folder."""
     speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
     """Speed ranges: slow, cruise."""
-    episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each case. Default: 12, of nmpc 6."""
+    episodes: int = 12
+    """Number of episodes of each case, the first ones of the suite."""
     out: Path = MODEL_ERROR_FOLDER
     """Folder for the files. Files of other policies are kept."""
 
@@ -228,9 +222,9 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", [name for name in options.policy if agent_folder(name) is None], list_policies())
     check_words("speed range", options.speed_range, SPEED_RANGES)
-    if privileged := [name for name in options.policy if name in FORESIGHTED]:
+    if privileged := [name for name in options.policy if name in FULL_INFORMATION]:
         raise UsageError(f"{privileged[0]} uses more than the observation, so it has no wrong model; leave it out")
-    if options.episodes is not None and options.episodes < 2:
+    if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more, since intervals are over episodes")
     checked_folder(options.out)
     for name in options.policy:
@@ -288,7 +282,7 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
         worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
         i = worse.index(max(worse))
         growth = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
-        less = [f"{sizes[size]['above'][0]:+.3f}" if size in sizes else "-" for size in ERROR_SIZES[:-1]]
+        less = [f"{sizes[size]['above'][0]:+.3f}" for size in ERROR_SIZES[:-1]]
         above = [*less, _spread(last["above"])]
         failed = f"{sum(last['failed'])} of {len(last['failed']) * episodes}; {right['failed']} of {episodes}"
         yield [

@@ -10,7 +10,7 @@ import numpy as np
 from auv_gym.physics.actuators import ordered
 from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.kernels import ACTIONS, OUTCOMES, MadeBodies, Outcome, Side
 from auv_gym.task.observation import SIZE, encode
@@ -56,7 +56,7 @@ class SimulatorBodies:
     @property
     def plant(self) -> Plant:
         """The present state of the plant: rows of shape (N,)."""
-        return filled(PLANT, tuple(self.now.plant))
+        return unflatten(PLANT, tuple(self.now.plant))
 
     def place(self, indices: Any, plant: Array, seen: Array) -> None:
         """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
@@ -73,7 +73,7 @@ class SimulatorBodies:
             )
             seen = encode(terms, ARRAYS, self.parts.span)
         outcome = Outcome(reward, failed, np.sqrt(squared), saturated)
-        self.now = Side(np.stack(leaves(plant)), np.asarray(seen), np.stack([np.asarray(x, float) for x in outcome]))
+        self.now = Side(np.stack(flatten(plant)), np.asarray(seen), np.stack([np.asarray(x, float) for x in outcome]))
 
     def undo(self) -> None:
         """Raise RuntimeError: a step is undone only if the next episode cannot begin, and those of `rollout` can."""

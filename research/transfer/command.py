@@ -5,8 +5,6 @@ The page of the results is docs/transfer.md.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +14,6 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from auv_gym.scenarios.names import CASES as KNOWN
-from auv_gym.scenarios.vehicles import vehicle_model
-from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
@@ -45,15 +41,11 @@ _POLICIES = (
 """Policies by default."""
 _CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
 """Cases by default: those with the same disturbances in both simulators, which have different actuator lags."""
-_WORK = Path("runs/transfer")
-"""Folder of the results of each policy, which later runs use again."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Run policies on the same episodes in the plane and in six degrees of freedom, and compare the errors.
-
-    The results of each policy are kept in runs/transfer and used again if policy and options are the same.
 
     Exit status: 0 done, 2 wrong usage.
     """
@@ -111,20 +103,10 @@ def _check(options: Options) -> None:
 
 
 def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
-    """Return the results by policy and case; missing ones are computed and kept."""
-    files = {policy: _WORK / vehicle / f"{policy}.json" for policy in options.policy}
-    known_model = hashlib.sha256(repr(vehicle_model(vehicle)).encode()).hexdigest()
-    shared = f"{simulator_fingerprint()} {known_model} {options.episodes}"
-    stamps = {policy: f"{fingerprint(policy)} {shared}" for policy in options.policy}
-    known: dict[str, dict[str, Any]] = {}
-    for policy, file in files.items():
-        kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        known[policy] = kept.get("cases", {}) if kept.get("stamp") == stamps[policy] else {}
-    missing = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
-    tasks = [TransferTask(policy, vehicle, cases, options.episodes) for policy, cases in missing.items() if cases]
-    for task, found in Workers(options.jobs).results(TransferTask.run, [(task,) for task in tasks]):
-        known[task.policy] |= found
-        text = json_text({"stamp": stamps[task.policy], "cases": known[task.policy]})
-        write_atomically(files[task.policy], text)
+    """Return the results by policy and case."""
+    tasks = [TransferTask(policy, vehicle, options.case, options.episodes) for policy in options.policy]
+    found: dict[str, dict[str, Any]] = {}
+    for task, own in Workers(options.jobs).results(TransferTask.run, [(task,) for task in tasks]):
+        found[task.policy] = own
         print(f"{vehicle}: {task.policy}", file=sys.stderr, flush=True)
-    return {policy: {case: known[policy][case] for case in options.case} for policy in options.policy}
+    return {policy: found[policy] for policy in options.policy}

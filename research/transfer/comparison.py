@@ -17,6 +17,7 @@ from auv_gym.task.policy import preview_of
 from baselines.evaluation.metrics import Measures, resamplings
 from baselines.evaluation.rollout import EpisodeLog, beginning, play
 from baselines.evaluation.runner import Cell, drawn
+from baselines.evaluation.score import cap_of, capped, count_failures
 from baselines.policies import make_policy
 from research import DATA
 from research.seeds import TRANSFER
@@ -41,14 +42,13 @@ class TransferTask:
     episodes: int  # number of episodes of each case
 
     def run(self) -> tuple[TransferTask, dict[str, Any]]:
-        """Return the task and its results by case: steady-state errors [m] and failures in each simulator."""
+        """Return the task and its results by case: capped steady-state errors [m] and failures in each simulator."""
         found: dict[str, dict[str, Any]] = {case: {} for case in self.cases}
         for place in (PLANE, SPACE):
             measures = self.measures(place)
-            for i, case in enumerate(self.cases):
-                own = measures[i * self.episodes : (i + 1) * self.episodes]
-                steady_rmses = [float(f"{steady_rmse:.4g}") for steady_rmse in own.steady_rmse]
-                found[case][place] = {"steady_rmse": steady_rmses, "failed": int(own.failed.sum())}
+            for i, (case, cell) in enumerate(zip(self.cases, self.cells, strict=True)):
+                own, cap = measures[i * self.episodes : (i + 1) * self.episodes], cap_of(cell.scenario)
+                found[case][place] = {"steady_rmse": capped(own, cap), "failed": count_failures(own, cap)}
         return self, found
 
     @property
@@ -99,6 +99,18 @@ def _ends(values: Array) -> list[float]:
     return [float(x) for x in np.quantile(values, (0.025, 0.975))]
 
 
+def _best(names: Sequence[str], means: Array) -> list[str]:
+    """Return the policy with the smallest mean error, then those whose difference to it has an interval with zero.
+
+    Args:
+        names: of P policies.
+        means: as measured and resampled, see `pooled`.
+    """
+    order = np.argsort(means[0])
+    level = [i for i in order[1:] if _ends(means[1:, i] - means[1:, order[0]])[0] <= 0]
+    return [names[i] for i in (order[0], *level)]
+
+
 def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
     """Return the summary of a vehicle's results: errors and growth by policy, and rank correlations.
 
@@ -121,8 +133,8 @@ def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
             "space_m": float(space[0, i]),
             "growth": float(growth[0, i]),
             "ci95": _ends(growth[1:, i]),
-            "lost_plane": sum(results[name][case][PLANE]["failed"] for case in cases),
-            "lost_space": sum(results[name][case][SPACE]["failed"] for case in cases),
+            "failed_plane": sum(results[name][case][PLANE]["failed"] for case in cases),
+            "failed_space": sum(results[name][case][SPACE]["failed"] for case in cases),
             "growth_by_case": {
                 case: float(steady_rmses[SPACE][j][i].mean() / steady_rmses[PLANE][j][i].mean())
                 for j, case in enumerate(cases)
@@ -139,6 +151,7 @@ def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
         "episodes": steady_rmses[PLANE][0].shape[1],
         "cases": cases,
         "policies": policies,
+        "best": {place: _best(names, means) for place, means in ((PLANE, plane), (SPACE, space))},
         "tau": {
             "all": float(taus[0]),
             "ci95": _ends(taus[1:]),

@@ -35,7 +35,7 @@ def _policy(name: str, own: Mapping[str, Any], cases: list[str]) -> list[Any]:
     growth = f"{own['growth']:.2g} ({low:.2g} ... {high:.2g})"
     by_case = (f"{own['growth_by_case'][case]:.2g}" for case in cases)
     errors = f"{own['plane_m']:.3g}", f"{own['space_m']:.3g}"
-    return [f"`{name}`", *errors, growth, f"{own['lost_plane']} / {own['lost_space']}", *by_case]
+    return [f"`{name}`", *errors, growth, f"{own['failed_plane']} / {own['failed_space']}", *by_case]
 
 
 def _ends(interval: tuple[float, float]) -> str:
@@ -53,19 +53,23 @@ def _trials(record: Mapping[str, Any]) -> str:
     )
 
 
+def _smallest(names: list[str]) -> str:
+    """Return which policy has the smallest error, and which ones do not differ significantly from it."""
+    first, *level = (f"`{name}`" for name in names)
+    return f"{first} has the smallest error" + (f", level with {', '.join(level)}" if level else "")
+
+
 def verdict(record: Mapping[str, Any]) -> str:
     """Return sentences that compare ranks and errors in both simulators."""
     policies, tau = record["policies"], record["tau"]["all"]
-    best, best_there = (min(policies, key=lambda name: policies[name][place]) for place in ("plane_m", "space_m"))
     ratios = sorted((own["growth"], name) for name, own in policies.items())
     grown = sum(own["growth"] > GROWTH for own in policies.values())
-    failed, before = (sum(own[place] for own in policies.values()) for place in ("lost_space", "lost_plane"))
+    failed, before = (sum(own[place] for own in policies.values()) for place in ("failed_space", "failed_plane"))
     runs = record["episodes"] * len(record["cases"]) * len(policies)
-    both = f"`{best}` has the smallest error in both simulators"
-    each = f"`{best}` has the smallest error in the plane, `{best_there}` in 6-DOF"
     return (
-        f"Kendall's tau is {tau:.2f} ({_ends(record['tau']['ci95'])}). {both if best == best_there else each}. The "
-        f"errors in 6-DOF are {ratios[0][0]:.2f} (`{ratios[0][1]}`) to {ratios[-1][0]:.2f} (`{ratios[-1][1]}`) times "
-        f"those in the plane; the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {failed} "
-        f"of {runs} episodes in 6-DOF, {before} in the plane."
+        f"Kendall's tau is {tau:.2f} ({_ends(record['tau']['ci95'])}). In the plane "
+        f"{_smallest(record['best']['plane'])}, in 6-DOF {_smallest(record['best']['space'])}. The errors in 6-DOF are "
+        f"{ratios[0][0]:.2f} (`{ratios[0][1]}`) to {ratios[-1][0]:.2f} (`{ratios[-1][1]}`) times those in the plane; "
+        f"the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {failed} of {runs} episodes "
+        f"in 6-DOF, {before} in the plane."
     )

@@ -116,7 +116,7 @@ def _of_suite(track: Mapping[str, Array], rng: np.random.Generator, heading: boo
 
 
 def _drift(track: Mapping[str, Array], u: Array, v: Array) -> float:
-    """Return how far the position is off at the end that adds up velocities along the true heading [m]."""
+    """Return the final position error [m] of dead reckoning with the true heading."""
     t, psi = track["t"], track["psi"]
     errors = to_world(u - track["u"], v - track["v"], np.cos(psi), np.sin(psi))
     return float(np.hypot(*(np.trapezoid(e, t) for e in errors)))

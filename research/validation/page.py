@@ -135,6 +135,7 @@ def _sea(record: Mapping[str, Any]) -> dict[str, Any]:
             row("drift in 400 s, recorded values [m]", "raw_drift_m", 1, ".1f", median["suite_drift_m"]),
             row("drift in 400 s, time and place corrected [m]", "drift_m", 1, ".1f", median["suite_drift_m"]),
         ],
+        "bias": f"{suite['bias']:.2g}",
         "way": f"{median['way_m']:.0f}",
         "ratio": f"{median['drift_m'] / median['suite_drift_m']:.1f}",
         "noise_ratio": f"{median['noise'] / suite['noise']:.1f}",

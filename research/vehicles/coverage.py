@@ -19,16 +19,15 @@ from scipy.stats import binomtest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
-from baselines.evaluation.request import checked_folder
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
 from baselines.identification.trials import EXAMPLE_CURRENT, Simulated, Trial, example, recorded
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from research import DOCS
+from research import DATA
 
 PROGRAM = "python -m research identification-coverage"
 _VEHICLES = {
@@ -46,7 +45,7 @@ _OUTSIDE = {
 """Simulated vehicles with effects that the model lacks, by effect."""
 _SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_TERMS)
 """Names of the counted parameters."""
-_FILE = "identify.json"  # record of the results, in docs/
+_FILE = DATA / "identification.json"  # record of the results
 _NEAR = 0.05  # largest relative error of a value that counts as near
 
 
@@ -57,9 +56,9 @@ class Options:
     Exit status: 0 done, 2 wrong usage.
     """
 
-    logs: int = 100
+    logs: int = 80
     """Number of logs of each vehicle; half as many of each effect that the model lacks."""
-    out: Path = DOCS / _FILE
+    out: Path = _FILE
     """File for the counts."""
 
 
@@ -129,7 +128,7 @@ def _table(record: Mapping[str, Any]) -> str:
 
 def coverage_section() -> str:
     """Return the part of docs/identify.md about the logs of each vehicle."""
-    records = read_json(DOCS / _FILE)
+    records = read_json(_FILE)
     return "\n".join([_of_misfit(records), *(_of_vehicle(name, records[name]) for name in _VEHICLES)])
 
 

@@ -18,9 +18,9 @@ _HEADS = (
 def published_vehicles() -> str:
     """Return the vehicles with their numbers and the sources of these, as two tables in Markdown."""
     every = [PAPER, *map(vehicle_model, vehicle_names())]
-    sources = [(f"`{c.name}`", c.source, c.left_out, c.ours) for c in every[1:]]
+    sources = [(f"`{c.name}`", c.source, c.left_out, c.assumed) for c in every[1:]]
     numbers = table(_HEADS, map(_row, every), right=False)
-    return f"{numbers}\n\n{table(('name', 'source', 'left out', 'ours'), sources, right=False)}"
+    return f"{numbers}\n\n{table(('name', 'source', 'left out', 'assumed'), sources, right=False)}"
 
 
 def _row(c: VehicleModel) -> tuple[str, ...]:

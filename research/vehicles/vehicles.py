@@ -30,10 +30,10 @@ from baselines.tuning.command import known_vehicle_model
 from baselines.tuning.objective import TuningEpisodes
 from baselines.tuning.search import VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
-from research import DOCS
+from research import DATA
 
 PROGRAM = "python -m research vehicle-gains"
-VEHICLES_FILE = "vehicles.json"  # record of the results, in docs/
+VEHICLES_FILE = DATA / "vehicle_gains.json"  # record of the results
 _SPEED_RANGE = "cruise"  # that `search` tunes for; vehicles with fins have no other
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
@@ -59,13 +59,13 @@ class Options:
     """A vehicle's name; may be given again. None: all published vehicles."""
     policy: UseAppendAction[tuple[str, ...]] = ()
     """A controller's name; may be given again."""
-    held_out: int = 64
+    held_out: int = 128
     """Number of episodes of the comparison, a multiple of 8."""
-    evaluations: int = 108
+    evaluations: int = 60
     """Number of evaluations of a search."""
     episodes: int = 16
     """Number of episodes of an evaluation, a multiple of 8."""
-    out: Path = DOCS / VEHICLES_FILE
+    out: Path = VEHICLES_FILE
     """File for the results."""
 
 
@@ -178,7 +178,7 @@ def _check(options: Options) -> None:
     """Raise UsageError if an option is wrong."""
     if options.what == "agent" and options.policy:
         raise UsageError(
-            f"--policy {options.policy[0]} makes no sense here: {MEASURED_AGENT} runs, and {RIVAL}; leave it out"
+            f"--policy is for `search` only, since `agent` runs {MEASURED_AGENT} and {RIVAL}; leave it out"
         )
     check_words("controller", options.policy, TUNABLES)
     for word in ("held_out", "episodes"):
@@ -186,5 +186,5 @@ def _check(options: Options) -> None:
             raise UsageError(f"--{word} is {number}; it must be a positive multiple of 8")
     if options.evaluations < 0 or Budget(options.evaluations, options.episodes).last_seed > VALIDATION_SEED:
         raise UsageError(
-            f"--evaluations is {options.evaluations}; it must be at least 0, and less than use up the seeds"
+            f"--evaluations is {options.evaluations}; it must be at least 0, and not exceed the seeds for tuning"
         )

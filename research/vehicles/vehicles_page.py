@@ -19,9 +19,8 @@ from baselines.control.linearisation import linearise
 from baselines.evaluation.score import RIVAL, Score, relative_error
 from baselines.gains.loading import EXPONENTS
 from baselines.policies import make_policy
-from baselines.similar import SimilarLaw
+from baselines.scaling import ScaledLaw
 from baselines.tools.files import read_json
-from research import DOCS
 from research.pages import table
 from research.vehicles.vehicles import KINDS, MEASURED_AGENT, NEAR_SEARCHED, SIDES, VEHICLES_FILE
 
@@ -47,7 +46,7 @@ def worst_growth(vehicle: VehicleModel, policy: str = "backstepping") -> float:
         for turn in (0.0, 0.5, 1.0)
         if share * top >= vehicle.slowest
     ]
-    assert isinstance(law, Backstepping | SimilarLaw)
+    assert isinstance(law, Backstepping | ScaledLaw)
     growths = []
     for U, w in motions:
         with suppress(InfeasibleReferenceError):
@@ -97,7 +96,7 @@ def exponents_section() -> str:
 
 def gains_section() -> str:
     """Return the part of docs/vehicle-gains.md that `research.vehicles.vehicles` measured."""
-    record = read_json(DOCS / VEHICLES_FILE)
+    record = read_json(VEHICLES_FILE)
     stable = (
         "### Stability\n\nThe expert is locally stable on each vehicle in still water, on straight lines and in turns "
         "as fast as those of the presets:"

@@ -23,6 +23,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.task.observation import SIZE, decode_observation
 from baselines import make_policy
+from baselines.control.backstepping import Backstepping
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
@@ -378,6 +379,25 @@ def test_residual_correction_is_bounded_by_its_authority():
 def test_impossible_authority_is_refused(authority):
     with pytest.raises(ValueError, match="authority is"):
         gym.make(RESIDUAL, authority=authority)
+
+
+@pytest.mark.parametrize(
+    ("expert", "message"),
+    [
+        ("oracle", "'oracle' uses more than the observation"),
+        (3, "expert is 3; it must be the name of a policy"),
+        (Backstepping, "it must be the name of a policy, or an object with the method predict"),
+    ],
+)
+def test_what_cannot_be_an_expert_is_refused(expert, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(RESIDUAL, expert=expert)
+
+
+def test_a_scenario_may_be_a_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    PRESETS["cruise-waves"].save(file)
+    assert gym.make(TRACK, scenario=str(file)).unwrapped.scenario == PRESETS["cruise-waves"]
 
 
 def test_unknown_expert_is_refused():

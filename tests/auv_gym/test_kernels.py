@@ -17,7 +17,7 @@ from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import FLOATS
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.task.kernels import OneVehicle, Vehicles, start_kernel, started, step_kernel
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
@@ -59,9 +59,9 @@ def test_a_step_equals_the_simulation_for_all_parts(flags):
         columns = (a[:, i].tolist() for a in (plant, action, sample, parameters))
         before, command, inputs, constants = columns
         after, terms, (reward, failed, squared, saturated) = step(
-            filled(PLANT, before), command, inputs, Parameters.of(constants, parts), FLOATS
+            unflatten(PLANT, before), command, inputs, Parameters.of(constants, parts), FLOATS
         )
-        np.testing.assert_allclose(found["next_plant"][:, i], leaves(after), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(found["next_plant"][:, i], flatten(after), rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(found["next_seen"][:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
         outcome = reward, failed, math.sqrt(squared), saturated
         np.testing.assert_allclose(found["outcome"][:, i], outcome, rtol=1e-12, atol=1e-13)
@@ -75,7 +75,7 @@ def test_a_start_equals_the_simulation():
     for i in range(N):
         p = Parameters.of(parameters[:, i].tolist(), parts)
         expected, terms = start(tuple(states[:, i].tolist()), sample[:, i].tolist(), p, FLOATS)
-        np.testing.assert_allclose(plant[:, i], leaves(expected), rtol=1e-12)
+        np.testing.assert_allclose(plant[:, i], flatten(expected), rtol=1e-12)
         np.testing.assert_allclose(seen[:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
 
 

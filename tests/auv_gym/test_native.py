@@ -478,4 +478,4 @@ def test_only_the_first_use_prints_that_it_compiles(cache):
         )
         printed.append(done.stderr)
         assert len([*cache.glob("*.so")]) == 4  # three and that of the trial
-    assert printed == ["auv_gym: compiling the equations of motion for this machine; this happens once\n", ""]
+    assert printed == ["auv_gym: compiling equations for this machine, once for each kind of scenario and policy\n", ""]

@@ -40,7 +40,7 @@ def test_numbers_equal_those_of_the_source(name):
     have = {**vars(mine.vehicle), **vars(mine.actuators)}
     assert {key: have[key] for key in theirs} == pytest.approx(theirs, rel=5e-3)
     assert mine.name == name
-    assert all((mine.about, mine.source, mine.left_out, mine.ours))
+    assert all((mine.about, mine.source, mine.left_out, mine.assumed))
 
 
 @VEHICLE_NAMES

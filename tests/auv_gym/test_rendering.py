@@ -26,6 +26,7 @@ VIEW = View(
     state=(-1.5, 0.5, 0.0, 0.1, 0.0, 0.0),
     reference=(1.5, 0.5, 0.3),
     path=np.column_stack((np.linspace(-20.0, 20.0, 200), np.full(200, 0.5))),
+    travelled=107,
     trail=np.column_stack((np.linspace(-4.0, -1.5, 30), np.full(30, 0.5))),
     current=(0.0, 0.0),
     force=(7.0, -0.5),
@@ -139,16 +140,6 @@ def test_path_ahead_is_darker_than_the_path_done():
     assert count(array[row, 10:180], PLAN, tolerance=60) == 0
 
 
-def test_progress_along_a_path_that_crosses_itself():
-    s = np.linspace(0.0, 2.0 * math.pi, 400)
-    eight = np.column_stack((6.0 * np.sin(s), 3.0 * np.sin(2.0 * s)))
-    renderer = Renderer("rgb_array", 20.0, SIZE)
-    for k in range(0, 400, 4):
-        reference = (float(eight[k, 0]), float(eight[k, 1]), 0.0)
-        renderer.draw(VIEW._replace(time=0.1 * k, reference=reference, path=eight))
-        assert abs(renderer._progress._index - k) <= 1
-
-
 @pytest.mark.parametrize("error", [0.0, 1.0, 30.0, 1e5])
 def test_vehicle_and_reference_stay_in_the_picture(error):
     renderer = Renderer("rgb_array", 20.0, SIZE)
@@ -178,7 +169,7 @@ def test_empty_and_single_points_are_drawn():
 def test_import_is_lazy_and_arrays_need_no_display():
     code = (
         "import sys, numpy as np, auv_gym.rendering as r; assert 'pygame' not in sys.modules;"
-        "v = r.View(0.0, (0.0,) * 6, (0.0,) * 3, np.zeros((2, 2)), np.zeros((1, 2)), (0.0, 0.0), (0.0, 0.0),"
+        "v = r.View(0.0, (0.0,) * 6, (0.0,) * 3, np.zeros((2, 2)), 0, np.zeros((1, 2)), (0.0, 0.0), (0.0, 0.0),"
         "(1.0, 1.0), 0.0, ''); assert r.Renderer('rgb_array', 20.0).draw(v).std() > 1;"
         "import pygame; assert not pygame.display.get_init()"
     )

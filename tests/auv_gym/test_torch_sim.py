@@ -2,6 +2,7 @@
 
 import logging
 import os
+import pickle
 import subprocess
 import sys
 
@@ -13,7 +14,7 @@ from gymnasium.error import ResetNeeded
 
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
 from auv_gym.physics.namespaces import ARRAYS, tensors
-from auv_gym.physics.rows import filled
+from auv_gym.physics.rows import unflatten
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task import simulation
@@ -110,6 +111,14 @@ def test_actions_may_be_arrays_and_observations_are_copies():
     assert (sim.reset(options=mask)[0] == twin.reset(options=mask)[0]).all()
 
 
+def test_pickling_keeps_the_state():
+    sim = eager()
+    sim.reset(seed=1)
+    twin = pickle.loads(pickle.dumps(sim))
+    actions = np.full((3, 2), 0.3, dtype=np.float32)
+    assert (sim.step(actions)[0] == twin.step(actions)[0]).all()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -170,7 +179,7 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
         return result
 
     def unpacked(state):
-        return filled(PLANT, state)
+        return unflatten(PLANT, state)
 
     x = torch.full((2, n), 0.02, dtype=torch.float64, requires_grad=True)
     value = total(unpacked(start), samples, constants, tensors(), x, torch.sum)

@@ -20,7 +20,7 @@ from auv_gym.task.observation import SIZE, TERMS
 from auv_gym.task.policy import preview_of, traceable
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
-from baselines.similar import Similar, SimilarLaw
+from baselines.scaling import ScaledLaw, ScaledPolicy
 
 FACTORS = st.floats(-2, 2).map(lambda x: 10**x)
 
@@ -95,7 +95,7 @@ def test_similar_vehicles_have_the_same_commands(name):
     storm = PRESETS["cruise-storm"]
     other = changed(storm, twin(UNITS))
     policy = make_policy(name, vehicle=other.vehicle)
-    assert isinstance(policy, SimilarLaw if name == "backstepping" else Similar)
+    assert isinstance(policy, ScaledLaw if name == "backstepping" else ScaledPolicy)
     np.testing.assert_allclose(run(policy, other), run(make_policy(name, vehicle=storm.vehicle), storm), atol=1e-5)
 
 
@@ -130,7 +130,7 @@ def test_columns_after_the_terms_are_a_preview_or_unchanged():
 
     policy = Recording()
     given = np.ones(SIZE + 4, dtype=np.float32)
-    Similar(policy, UNITS).predict(given)
+    ScaledPolicy(policy, UNITS).predict(given)
     assert policy.observation[0, SIZE:].tolist() == [0.5, 0.5, 1.0, 1.0]
     assert given.tolist() == [1.0] * (SIZE + 4)  # not changed in place
 
@@ -138,12 +138,12 @@ def test_columns_after_the_terms_are_a_preview_or_unchanged():
 @pytest.mark.parametrize("vehicle", [None, "paper", PAPER_VEHICLE, replace(PAPER_VEHICLE, d22=150.0)], ids=str)
 @pytest.mark.parametrize("name", ["backstepping", "ekf", "helm"])
 def test_no_policy_is_wrapped_for_mass_length_and_speed_of_the_paper(name, vehicle):
-    assert not isinstance(make_policy(name, vehicle=vehicle), (Similar, SimilarLaw))
+    assert not isinstance(make_policy(name, vehicle=vehicle), (ScaledPolicy, ScaledLaw))
 
 
 @pytest.mark.parametrize("name", ["oracle", "clairvoyant"])
 def test_privileged_policies_are_not_wrapped(name):
-    assert not isinstance(make_policy(name, vehicle="otter"), Similar)
+    assert not isinstance(make_policy(name, vehicle="otter"), ScaledPolicy)
 
 
 def test_an_agent_of_a_speed_range_warns_of_speeds_in_si_units():

@@ -62,7 +62,7 @@ def test_drag_is_a_magnitude(name):
     ids=str,
 )
 def test_quadratic_damping_that_gives_power_is_refused(terms):
-    with pytest.raises(ValueError, match="the quadratic damping of sway and yaw gives power"):
+    with pytest.raises(ValueError, match="the quadratic damping of sway and yaw is not dissipative"):
         replace(DAMPED, **terms)
 
 

@@ -131,7 +131,9 @@ def test_noise_has_the_given_deviation(scenario_file):
         (["--seed", "-1"], "--seed is -1"),
         (["--policy", "nobody"], "unknown policy 'nobody'"),
         (["--scenario", "nowhere"], "unknown scenario 'nowhere'"),
-        (["--id", "a b", "--episodes", "1", "--scenario", "cruise-calm"], "a b"),
+        *((["--id", name], f"--id is {name!r}") for name in ("a b", "noversion", "../../x-v0", "/tmp/x-v0")),
+        (["--policy"], "--policy and --noise need one value or more"),
+        (["--noise"], "--policy and --noise need one value or more"),
     ],
 )
 def test_wrong_arguments_raise_usage_errors(words, message, tmp_path):

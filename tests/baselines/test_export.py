@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from auv_gym.task.observation import SIZE, decode_observation
 from auv_gym.task.policy import POSITIVE
 from baselines import make_policy
 from baselines.agents.names import agent_folder, shipped_agents
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import Repeatable, beginning
 from baselines.evaluation.runner import drawn
 from baselines.export import command
@@ -355,6 +355,14 @@ def test_the_command_writes_both_files(tmp_path, capsys):
     assert str(tmp_path / "sac-slow.onnx") in capsys.readouterr().out
 
 
+def test_files_have_the_names_of_run_and_vehicle(tmp_path):
+    run = tmp_path / "runs" / "mine" / "agent"
+    shutil.copytree(agent_folder("sac-slow"), run)
+    for words in ([str(run)], [str(run.parent)], [str(run), "--vehicle", "otter"]):
+        assert command.main([*words, "--format", "c", "--out", str(tmp_path)]) == 0
+    assert {file.name for file in tmp_path.glob("*.h")} == {"mine.h", "mine-otter.h"}
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -377,28 +385,20 @@ def test_message_names_a_missing_library(tmp_path, monkeypatch):
     assert command.main(["sac-slow", "--format", "c", "--out", str(tmp_path)]) == 0
 
 
-def test_agents_that_are_not_measured_keep_their_entries(tmp_path, monkeypatch):
-    kept = json.loads(MEASURED_FILE.read_text(encoding="utf-8"))
-    own = {entry["name"]: measure.Measured(**entry) for entry in kept["agents"]}
-    monkeypatch.setattr(measure, "_measured", lambda name, episodes: replace(own[name], c_us=float(episodes)))
+def test_the_command_measures_agents_and_writes_a_file(tmp_path, monkeypatch):
+    entry = json.loads(MEASURED_FILE.read_text(encoding="utf-8"))["agents"][0]
+    monkeypatch.setattr(measure, "_measured", lambda name, episodes: measure.Measured(**{**entry, "name": name}))
     out = tmp_path / "deployment.json"
-    out.write_text(json.dumps(kept))
-    assert measure.main(["helm", "--episodes", str(kept["episodes"]), "--out", str(out)]) == 0
+    assert measure.main(["helm", "helm-any", "--episodes", "2", "--out", str(out)]) == 0
     found = json.loads(out.read_text())
-    assert [entry["name"] for entry in found["agents"]] == shipped_agents()
-    changed = [new["name"] for new, old in zip(found["agents"], kept["agents"], strict=True) if new != old]
-    assert changed == ["helm"]
-    with pytest.raises(UsageError, match=f"use --episodes {kept['episodes']}, or measure all agents"):
-        measure.main(["helm", "--episodes", "2", "--out", str(out)])
-    assert json.loads(out.read_text()) == found
-    assert measure.main(["--episodes", "2", "--out", str(out)]) == 0
-    assert json.loads(out.read_text())["episodes"] == 2
+    assert (found["episodes"], [own["name"] for own in found["agents"]]) == (2, ["helm", "helm-any"])
 
 
-def test_the_measurements_that_the_page_shows_are_of_all_agents_and_small():
+def test_the_measurements_that_the_page_shows_are_of_the_present_agents_and_small():
     record = json.loads(MEASURED_FILE.read_text(encoding="utf-8"))
-    assert [entry["name"] for entry in record["agents"]] == shipped_agents()
+    assert [entry["name"] for entry in record["agents"]] == list(measure.AGENTS)
     for entry in record["agents"]:
+        assert entry["fingerprint"] == fingerprint(entry["name"]), "run research deployment"
         assert max(entry["onnx64"], entry["c64"]) < 1e-6
         assert entry["m4"] < 1e-6
         assert abs(entry["lost32"][0]) < 1e-3

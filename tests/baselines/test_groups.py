@@ -10,7 +10,7 @@ import torch
 
 from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import WorkerError
-from baselines.tools.workers import Elsewhere, Workers
+from baselines.tools.workers import ProcessObject, Workers
 from baselines.training import vehicle_models
 from baselines.training.apg.groups import Groups, VehicleGroup, divided
 from baselines.training.apg.settings import check
@@ -116,7 +116,7 @@ class Counter:
 
 
 def test_methods_in_another_process_are_called_in_order():
-    with closing(Elsewhere(Counter, 3)) as there:
+    with closing(ProcessObject(Counter, 3)) as there:
         answers = [there.call("add", more) for more in (4, 5)]
         (first, process), (second, same) = (answer() for answer in answers)
         assert (first, second) == (7, 12)
@@ -130,7 +130,7 @@ def test_methods_in_another_process_are_called_in_order():
 
 
 def test_an_error_of_the_constructor_is_raised_by_the_first_call():
-    with closing(Elsewhere(Counter, -1)) as there, pytest.raises(ValueError, match="none can be there"):
+    with closing(ProcessObject(Counter, -1)) as there, pytest.raises(ValueError, match="none can be there"):
         there.call("add", 1)()
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,8 +158,17 @@ def test_terms_are_chosen_and_checked(log):
         ValueError, match="'m11' is not an optional parameter of a vehicle; allowed are X_uu, Y_vv, N_rr"
     ):
         identify(log, ("m11",))
-    with pytest.raises(ValueError, match=r"a segment is 50 s; for this log it must be in \[2, 20\] s"):
-        identify(log, (), segment=50.0)
+
+
+@pytest.mark.slow
+def test_the_vehicle_file_of_the_tutorial_is_that_of_the_command():
+    tutorials = ROOT / "docs" / "tutorials"
+    found = identify(Log.load(tutorials / "otter.csv"), ("X_uu", "Y_vv", "N_rr"))
+    written = files.vehicle_text(found, found.vehicle(), "otter.csv").splitlines()
+    page = (tutorials / "log-to-agent.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\w+ = \S+  # \[.*\.\.\..*$", page, re.MULTILINE)
+    assert len(shown) == 10
+    assert set(shown) <= set(written)
 
 
 def test_related_residuals_widen_the_intervals():
@@ -271,6 +281,30 @@ def test_a_wrong_file_is_one_line(text, says, tmp_path, monkeypatch, capsys):
     err = capsys.readouterr().err
     assert says in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ([], "no LOG is given"),
+        (["--holdout", "log.csv"], "no LOG is given"),
+        (["log.csv", "--example"], "log.csv exists; --example does not replace a log"),
+        (["log.csv", "--known", "m11=-5"], "--known m11=-5 must be NAME=VALUE"),
+        (["log.csv", "--known", "V_x=nan"], "--known V_x=nan must be NAME=VALUE"),
+        (["log.csv", "--known", "m11=1", "m11=2"], "once for each name"),
+        (["log.csv", "--known", "V_x=0.5", "--still-water"], "--still-water excludes --known V_x"),
+        (["log.csv", "--out", "log.csv"], "--out log.csv is not a folder"),
+    ],
+)
+def test_wrong_options_are_one_line_and_change_nothing(words, says, log, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    log.save("log.csv")
+    before = Path("log.csv").read_bytes()
+    assert run(main, PROGRAM, words) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+    assert Path("log.csv").read_bytes() == before
 
 
 @pytest.mark.slow

@@ -304,14 +304,14 @@ def test_rows_of_changed_policies_are_ignored(tmp_path, monkeypatch):
 
 def test_the_page_shows_the_present_policies():
     """The agents are tuned as the hyper-parameters say."""
-    kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
+    kept = json.loads(fine_tuning.FINE_TUNING_FILE.read_text(encoding="utf-8"))
     assert {tuple(found["tuned"]["set"]) for found in kept["vehicles"].values()} == {tuple(fine_tuning.recipe())}
     for name, row in ((name, row) for found in kept["vehicles"].values() for name, row in found.items()):
         assert row["fingerprint"] == fine_tuning.row_fingerprint(name, kept["agent"]), "run research fine-tuning"
 
 
 def test_the_readme_compares_tuned_agents_with_the_best_controllers():
-    vehicles = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))["vehicles"]
+    vehicles = json.loads(fine_tuning.FINE_TUNING_FILE.read_text(encoding="utf-8"))["vehicles"]
     ratios = [fine_tuning.ratio(own, "tuned", fine_tuning.best_controller(own))[0] for own in vehicles.values()]
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     assert f"the error is {min(ratios):.2f} to {max(ratios):.2f} times that of its best controller" in readme

@@ -8,7 +8,7 @@ from marks import slow_except
 from scipy.optimize import minimize
 
 from auv_gym.physics.namespaces import FLOATS
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import flatten
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
@@ -54,7 +54,7 @@ def test_scipy_finds_no_better_commands():
     episodes = drawn(scenario, 1, 3).episodes
     problem, trajectory = optimum(scenario, episodes)
     truth = Truth.of(scenario, episodes)
-    rows = [float(np.ravel(row)[0]) for row in leaves(truth.parameters)]
+    rows = [float(np.ravel(row)[0]) for row in flatten(truth.parameters)]
     p, samples = Parameters.of(rows, scenario.parts), truth.samples[..., 0].tolist()
     initial, _ = start(tuple(problem.begun[:6, 0].tolist()), samples[0], p, FLOATS)
     weight = problem.weight[:, 0, 0]

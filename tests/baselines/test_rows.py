@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from auv_gym.physics.rows import filled, leaves, numbered
+from auv_gym.physics.rows import flatten, numbered, unflatten
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import (
     CURRENT,
@@ -38,15 +38,15 @@ class Outer(NamedTuple):
 def test_rows_and_names_are_the_same_numbers():
     places = numbered(Outer)
     assert places == Outer(0, Inner(1, 2), 3)
-    tree = filled(places, (10.0, 11.0, 12.0, 13.0))
+    tree = unflatten(places, (10.0, 11.0, 12.0, 13.0))
     assert tree == Outer(10.0, Inner(11.0, 12.0), 13.0)
-    assert leaves(tree) == (10.0, 11.0, 12.0, 13.0)
+    assert flatten(tree) == (10.0, 11.0, 12.0, 13.0)
 
 
 def test_every_row_of_the_simulation_has_one_name():
     for places, n in ((PLANT, PLANT_ROWS), (SAMPLE, SAMPLE_ROWS), (PARAMETERS, PARAMETER_ROWS)):
-        assert leaves(places) == tuple(range(n))
-        assert leaves(filled(places, range(n))) == tuple(range(n))
+        assert flatten(places) == tuple(range(n))
+        assert flatten(unflatten(places, range(n))) == tuple(range(n))
 
 
 def test_parts_of_a_sample_are_found_by_name():
@@ -59,7 +59,7 @@ def test_parts_of_a_sample_are_found_by_name():
 def test_constants_of_an_episode_survive_their_row():
     scenario = PRESETS["cruise-storm"]
     p = scenario.parameters(scenario.draw(np.random.default_rng(0)))
-    assert Parameters.of(leaves(p), p.parts) == p
+    assert Parameters.of(flatten(p), p.parts) == p
     assert (p.error_scale, p.lost_distance, p.h) == (scenario.error_scale, scenario.lost_distance, 0.1)
 
 

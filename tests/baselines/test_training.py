@@ -217,6 +217,7 @@ def test_wrong_options_give_one_line_and_create_no_files(arguments, message, cal
         ({"n_envs": 8, "policy_kwargs": {"net": 1}}, "hyper-parameters of ppo: "),
         ({"n_envs": 8, "env_kwargs": 1}, "env_kwargs is 1; it must be a table"),
         ({"n_envs": 8, "env_kwargs": {"expert": 3}}, "expert is 3; an agent's expert must be a policy's name"),
+        ({"n_envs": 8, "env_kwargs": {"foo": 1}}, "env_kwargs has 'foo'; allowed are authority, expert, scenario"),
         ({"n_envs": 8, "env_kwargs": {"authority": "all"}}, "authority is 'all'"),
         ({"n_envs": 8, "n_timesteps": "1e6"}, "timesteps is '1e6'; it must be an integer"),
         ({"n_envs": 8, "noise_type": "pink"}, "noise is 'pink'"),

@@ -140,7 +140,7 @@ def test_file_holds_gains_and_provenance_and_is_a_start(folder, capsys, monkeypa
     file, names = folder / "integral-slow.json", PRINTED_GAINS
     before = json.loads(file.read_text())
     arguments = ["integral", "--speed-range", "slow", "--episodes", "16", "--evaluations", "24"]
-    assert main([*arguments, "--dry"]) == DONE
+    assert main([*arguments, "--dry-run"]) == DONE
     assert json.loads(file.read_text()) == before
     assert main(arguments) == DONE
     record = json.loads(file.read_text())
@@ -181,9 +181,7 @@ def brief(episodes, policy, run=TuningEpisodes.run):
         (["lqi", "--episodes", "24"], "--episodes is 24; it must be a positive multiple of 16"),
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
-        (["lqi", "--price", "2"], "--price is 2"),
         (["lqi", "--speed-range", "fast"], "speed-range"),
-        (["lqi", "--vehicle", "remus100", "--price", "0.1"], "--vehicle excludes --price"),
         (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
         (["lqi", "--start", "none.json"], "--start none.json has no gains"),
     ],

@@ -155,6 +155,19 @@ def test_loops_contain_their_frames(suffix, tmp_path, storm):
             assert image.info["duration"] == (1500 if k == 3 else 100)
 
 
+@pytest.mark.parametrize("suffix", [".mp4", ".webp"])
+def test_an_interrupted_video_replaces_no_file(suffix, tmp_path):
+    def frames():
+        yield np.zeros((40, 40, 3), np.uint8)
+        raise KeyboardInterrupt
+
+    out = tmp_path / f"kept{suffix}"
+    out.write_bytes(b"a video")
+    with pytest.raises(KeyboardInterrupt):
+        save_video(frames(), out, 10)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(out.name, b"a video")]
+
+
 def test_videos_contain_their_frames(tmp_path):
     from imageio_ffmpeg import count_frames_and_secs
     from moviepy.video.io.ffmpeg_reader import ffmpeg_parse_infos
@@ -181,6 +194,7 @@ def test_command_prints_comparisons_and_shows_the_typical_episode(tmp_path, caps
     ("words", "message"),
     [
         ("--out video.avi", r"must end in .mp4, .webp, .gif"),
+        ("--out /dev/null/video.mp4", "is not a folder that can be written to"),
         ("--size 100x100", "--size is '100x100'; it must be WIDTHxHEIGHT, from 240x180 to 4096x4096"),
         ("--size 400x300 --policy backstepping ekf lqi", "from 480x180"),
         ("--size big", "WIDTHxHEIGHT"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from auv_gym.physics.namespaces import FLOATS
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import flatten
 from auv_gym.scenarios.exogenous import (
     GUSTS,
     WAVE_ROWS,
@@ -42,7 +42,7 @@ def test_a_regression_over_all_measurements_gives_the_same_bound(name):
     (episode,), steps = episodes, scenario.steps
     problem, truth = Problem.of(scenario, episodes), Truth.of(scenario, episodes)
     trajectory = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
-    p = Parameters.of([float(np.ravel(row)[0]) for row in leaves(truth.parameters)], scenario.parts)
+    p = Parameters.of([float(np.ravel(row)[0]) for row in flatten(truth.parameters)], scenario.parts)
     samples, stormy = truth.samples[..., 0], episode.waves is not None
     table = samples[:, :8]
     weather = weather_of(

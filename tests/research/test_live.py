@@ -8,7 +8,7 @@ import pytest
 from browser import opened
 
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import flatten
 from auv_gym.scenarios import exogenous
 from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
@@ -60,7 +60,7 @@ def episode_in_python(policy, speed_range, family, case, seed=1):
         rows.append([*action.tolist(), *env._vehicle.plant[:8], info["position_error"]])
         if failed:
             break
-    parameters = np.nan_to_num(leaves(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
+    parameters = np.nan_to_num(flatten(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
     return samples, parameters, state, np.array(rows)
 
 

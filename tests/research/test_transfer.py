@@ -159,7 +159,7 @@ def test_the_command_writes_the_log_of_a_trial(name, tmp_path):
     assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
 
 
-def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
+def test_the_command_compares(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(trials, "steady_motion", lambda _: {"straight": [], "turns": []})
     arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
@@ -168,12 +168,8 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     assert record["tau"]["by_case"].keys() == {"current"}
     for own in record["policies"].values():
         assert own["growth"] == pytest.approx(own["space_m"] / own["plane_m"])
-        assert own["lost_space"] == 0
+        assert own["failed_space"] == 0
     assert "Kendall's tau" in capsys.readouterr().out
-    before = {file: file.stat().st_mtime_ns for file in Path("runs/transfer").rglob("*.json")}
-    assert len(before) == 2
-    assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
-    assert before == {file: file.stat().st_mtime_ns for file in before}
 
 
 @pytest.mark.parametrize(
@@ -191,22 +187,6 @@ def test_wrong_usage_is_one_line(arguments, says, capsys):
     assert err.count("\n") == 1
 
 
-def test_kept_results_of_another_simulator_are_computed_again(tmp_path, monkeypatch):
-    ran = []
-
-    def results(self, function, tasks):
-        ran.extend(tasks)
-        return [(task, dict.fromkeys(task.cases, 1.0)) for (task,) in tasks]
-
-    monkeypatch.setattr(command, "_WORK", tmp_path)
-    monkeypatch.setattr(command.Workers, "results", results)
-    options = command.Options(policy=("backstepping",), case=("calm",), episodes=2)
-    for simulator, runs in (("one", 1), ("one", 1), ("another", 2)):
-        monkeypatch.setattr(command, "simulator_fingerprint", lambda name=simulator: name)
-        assert command._results(options, "otter") == {"backstepping": {"calm": 1.0}}
-        assert len(ran) == runs
-
-
 @pytest.fixture
 def kept():
     return json.loads(comparison.TRANSFER_FILE.read_text(encoding="utf-8"))
@@ -222,9 +202,10 @@ def test_the_sentences_of_the_page_are_true(kept):
         assert turn["space"] / turn["plane"] == pytest.approx(1.0, abs=0.05)
     growth = [own["growth"] for own in remus["policies"].values()]
     assert 0.9 < np.median(growth) < 1.0
-    for policy in ("lqi", "adaptive", "smc-dob"):
-        assert min(remus["policies"][policy][place] for place in ("lost_plane", "lost_space")) > 20
+    assert max(growth) < comparison.GROWTH
+    for policy in ("adaptive", "smc-dob"):
+        assert min(remus["policies"][policy][place] for place in ("failed_plane", "failed_space")) > 90
     assert max(boat["policies"], key=lambda name: boat["policies"][name]["growth"]) == "helm-any"
-    assert min(boat["policies"][policy]["growth"] for policy in ("nmpc", "smc-dob", "lqi", "ilos")) > 3
+    assert min(boat["policies"][policy]["growth"] for policy in ("nmpc", "smc-dob", "lqi", "ilos")) > 2.5
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)

@@ -89,7 +89,10 @@ def test_the_ratio_of_means_and_its_interval():
         (["search", "--policy", "helm"], "unknown controller 'helm'; allowed are backstepping-tuned"),
         (["search", "--episodes", "12"], "--episodes is 12; it must be a positive multiple of 8"),
         (["search", "--evaluations", "-1"], "--evaluations is -1; it must be at least 0"),
-        (["agent", "--policy", "lqi"], "--policy lqi makes no sense here: helm-any runs, and nmpc; leave it out"),
+        (
+            ["agent", "--policy", "lqi"],
+            "--policy is for `search` only, since `agent` runs helm-any and nmpc; leave it out",
+        ),
     ],
 )
 def test_wrong_usage_is_one_line(arguments, says, capsys):
@@ -197,5 +200,11 @@ def test_the_readme_compares_the_agent_with_searched_gains():
     page = " ".join((ROOT / "docs/vehicle-gains.md").read_text(encoding="utf-8").split())
     measured = re.search(f"{pattern} times that with searched", page)[1]
     said = rf"searched for each vehicle it is {pattern} at cruise"
-    [shown] = re.findall(said, " ".join((ROOT / "README.md").read_text(encoding="utf-8").split()))
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    [shown] = re.findall(said, readme)
     assert shown == measured
+    rows = re.findall(
+        rf"^\| `.*\| {pattern} \| {pattern} \|$", (ROOT / "docs/vehicle-gains.md").read_text("utf-8"), re.MULTILINE
+    )
+    assert (len(rows), sum(float(last.split()[0]) >= 1 for _, last in rows)) == (8, 4)
+    assert "and not smaller on four of the eight" in readme

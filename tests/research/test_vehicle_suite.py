@@ -38,7 +38,7 @@ from baselines.evaluation.score import (
     vehicle_of,
 )
 from baselines.evaluation.suites import rounded
-from baselines.similar import shown_factors
+from baselines.scaling import shown_factors
 from research.results import vehicles
 from research.results.collection import Results, better_than
 from research.suites.builder import BUILDERS, VEHICLE_EPISODES, _cell

@@ -31,7 +31,7 @@ class VehicleModel:
     about: str  # description in one line
     source: str  # source of the numbers
     left_out: str  # terms of the source that the equations of motion do not have
-    ours: str  # numbers that are not from the source
+    assumed: str  # numbers that are not from the source
     vehicle: Vehicle
     actuators: Actuators
     turn_rate: float | None = None  # [rad/s] largest; None: 0.12 rad/s of the paper, scaled
@@ -40,7 +40,7 @@ class VehicleModel:
     shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
 
     def __post_init__(self) -> None:
-        for name in ("name", "about", "source", "left_out", "ours"):
+        for name in ("name", "about", "source", "left_out", "assumed"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"vehicle {name} is {getattr(self, name)!r}; it must be a string")
         check_number("vehicle slowest", self.slowest, 0, self.vehicle.speed)
@@ -88,7 +88,7 @@ PAPER = VehicleModel(
     about="the paper's vehicle",
     source="Repoulias and Papadopoulos 2005, see `auv_gym.physics.vehicle.PAPER_VEHICLE`",
     left_out="",
-    ours="limits, speed and lag",
+    assumed="limits, speed and lag",
     vehicle=PAPER_VEHICLE,
     actuators=Actuators(F_u_max=400.0, F_r_max=200.0),
     turn_rate=0.12,

@@ -26,7 +26,7 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import congruence, dot, symmetric, triangle
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import flatten
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
@@ -68,7 +68,7 @@ class Problem:
         truth, n, steps = Truth.of(scenario, episodes), len(episodes), scenario.steps
         p, samples = truth.parameters, truth.samples
         begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
-        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in leaves(p)])
+        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in flatten(p)])
         delay = np.broadcast_to(np.asarray(p.delay), n).astype(np.int64)
         reach = np.minimum(1.0, np.stack((np.broadcast_to(p.reach_u, n), np.broadcast_to(p.reach_r, n))))
         acts = np.arange(steps)[:, None] >= delay

@@ -15,7 +15,7 @@ from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
@@ -53,7 +53,7 @@ class Truth:
         Raises:
             InfeasibleReferenceError: an episode's path cannot be followed.
         """
-        rows = np.array([leaves(scenario.parameters(episode)) for episode in episodes]).T
+        rows = np.array([flatten(scenario.parameters(episode)) for episode in episodes]).T
         return cls(Parameters.of(tuple(rows), scenario.parts), samples(scenario, episodes))
 
     def state_after_delay(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
@@ -66,7 +66,7 @@ class Truth:
             k: the control step of each episode, shape (N,).
         """
         zero, (last, second, third) = np.zeros(len(k)), sent
-        empty = filled(PLANT.memory, (zero,) * PLANT_ROWS)  # states of sensors do not matter
+        empty = unflatten(PLANT.memory, (zero,) * PLANT_ROWS)  # states of sensors do not matter
         (a_u_2, a_r_2), (a_u_3, a_r_3) = second, third
         memory = empty._replace(a_u_2=a_u_2, a_r_2=a_r_2, a_u_3=a_u_3, a_r_3=a_r_3)
         plant = Plant._make((*state, *force, *last, memory))

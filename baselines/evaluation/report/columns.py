@@ -133,13 +133,14 @@ COLUMNS = (
            lambda _, s: s.settling_s, digits(3)),
     Column("effort_ratio", "effort", "mean square of the normalised command, relative to the expert's",
            lambda e, _: e.effort_ratio, ratio_text, 1),
-    Column("smoothness_ratio", "rate",
+    Column("smoothness_ratio", "command rate",
            "command rate: mean squared change of the command in a step, relative to the expert's",
            lambda e, _: e.smoothness_ratio, ratio_text),
     Column("saturation", "saturated", "share of the steps with an actuator commanded to its limit",
            lambda _, s: s.saturation, percent),
     Column("return_mean", "", "mean sum of rewards", lambda _, s: s.return_mean),
-    Column("decision_ms", "ms", "wall time of one decision for one vehicle, with many vehicles simulated together",
+    Column("decision_ms", "time [ms]",
+           "wall time of one decision for one vehicle, with many vehicles simulated together",
            lambda e, _: 1e3 * e.decision_seconds, digits(2)),
 )  # fmt: skip
 """The columns, in the order of the tables."""

@@ -12,7 +12,7 @@ from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, FORESIGHTED, VEHICLE_MARK, Score, fixed, fixed_ends, speed_range_of
+from baselines.evaluation.score import EXPERT, FULL_INFORMATION, VEHICLE_MARK, Score, fixed, fixed_ends, speed_range_of
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
@@ -149,8 +149,8 @@ def _x_of(score: float) -> float:
 
 
 def _lead(order: Sequence[Entry]) -> str:
-    """Return a sentence about the best policy that is not in `FORESIGHTED`; "" with fewer than two policies."""
-    best = next((e for e in order if e.policy not in FORESIGHTED and e.summary is not None), None)
+    """Return a sentence about the best policy that is not in `FULL_INFORMATION`; "" with fewer than two policies."""
+    best = next((e for e in order if e.policy not in FULL_INFORMATION and e.summary is not None), None)
     if best is None or best.summary is None or len(order) < 2:
         return ""
     failures = f"failures: {failures_text(best.failed, best.summary.episodes)}"
@@ -175,7 +175,8 @@ def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, 
         if len(by_case) < 2:
             continue
         least = {
-            name: min((e for p, e in own.items() if p not in FORESIGHTED), default=0) for name, own in by_case.items()
+            name: min((e for p, e in own.items() if p not in FULL_INFORMATION), default=0)
+            for name, own in by_case.items()
         }
         logs = {
             policy: [_log_ratio(own[policy], least[name]) for name, own in by_case.items() if policy in own]

@@ -14,7 +14,7 @@ from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     EXPERT,
-    FORESIGHTED,
+    FULL_INFORMATION,
     RIVAL,
     VEHICLE_MARK,
     Anchors,
@@ -100,8 +100,8 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
 
 
 def _best(entries: Sequence[Entry]) -> Entry | None:
-    """Return the entry with the smallest mean steady-state error, without those in `FORESIGHTED` and failed ones."""
-    known = [(e.summary.steady_rmse_m.mean, e) for e in entries if e.summary and e.policy not in FORESIGHTED]
+    """Return the entry with the smallest mean steady-state error, without `FULL_INFORMATION` and failed ones."""
+    known = [(e.summary.steady_rmse_m.mean, e) for e in entries if e.summary and e.policy not in FULL_INFORMATION]
     return min(known, key=lambda pair: pair[0])[1] if known else None
 
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
-from baselines.evaluation.score import FORESIGHTED, SCALE
+from baselines.evaluation.score import FULL_INFORMATION, SCALE
 
 _WIDTH = 200  # [characters] width of tables without a terminal
 
@@ -27,7 +27,7 @@ def console() -> Console:
 def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Path) -> None:
     """Print the tables, and warnings and failures on stderr."""
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
-    shown = [r for r in results if r.run.recorded is None or r.run.policy in FORESIGHTED]
+    shown = [r for r in results if r.run.recorded is None or r.run.policy in FULL_INFORMATION]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
     if any(entry.score for entry in pooled):
         out.print(entries_table("All cases of a speed range together", "speed range", pooled, out))
@@ -65,7 +65,8 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    caption = f"steady: RMSE after the first third of an episode; score: {SCALE}"
+    scored = any(column.heading.startswith("score") for column in columns)
+    caption = "steady: RMSE after the first third of an episode" + (f"; score: {SCALE}" if scored else "")
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)

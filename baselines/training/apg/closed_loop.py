@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, NamedTuple, cast
 
 from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETERS, Coefficients, Vehicle, with_names
 from auv_gym.task import simulation
 from auv_gym.task.observation import Observation, action_of, decode, encode
@@ -138,13 +138,13 @@ class ClosedLoop:
             loss: of the step.
             ns: the namespace of the numbers.
         """
-        p, before = Parameters.of(parameters, self.parts), filled(PLANT, state)
+        p, before = Parameters.of(parameters, self.parts), unflatten(PLANT, state)
         rule = zip(base, authority, correction, strict=True)
         command = [corrected(b, largest, c, ns) for b, largest, c in rule]
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, step_loss)
+        return Moved(flatten(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, step_loss)
 
 
 def known_rows(parts: Parts) -> int:

@@ -19,7 +19,7 @@ from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import encode_preview, shared_preview
 from baselines.control.backstepping import Backstepping
 from baselines.policy import Memory
-from baselines.tools.workers import Elsewhere
+from baselines.tools.workers import ProcessObject
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.settings import PAIR, Settings
@@ -167,7 +167,7 @@ class Groups:
         mine, *rest = ({k: m for k, m in members.items() if k % processes == j} for j in range(processes))
         with ExitStack() as stack:
             self._others = [
-                stack.enter_context(closing(Elsewhere(Worker, config, settings, part))) for part in rest if part
+                stack.enter_context(closing(ProcessObject(Worker, config, settings, part))) for part in rest if part
             ]
             self.own = Worker(config, settings, mine)
             self.close = stack.pop_all().close

@@ -16,6 +16,7 @@ from typing import Any
 
 from baselines.tools.files import parse_yaml, read_yaml
 
+_ENV_KWARGS = ("authority", "expert", "scenario")  # the scenario is for rl_zoo3 only; `--scenario` replaces it
 _FOLDER = Path(__file__).parent
 TRAINED_ENV = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
 FINE_TUNING_FILE_NAME = "fine-tuning"
@@ -51,8 +52,10 @@ def load_hyperparameters(file: Path, key: str = TRAINED_ENV) -> Hyperparameters:
     env = values.pop("env_kwargs", {})
     if not isinstance(env, Mapping):
         raise ValueError(f"{file}: env_kwargs is {env!r}; it must be a table")
+    if unknown := [name for name in env if name not in _ENV_KWARGS]:
+        raise ValueError(f"{file}: env_kwargs has {unknown[0]!r}; allowed are {', '.join(_ENV_KWARGS)}")
     authority = env.get("authority")
-    if isinstance(authority, (int, float)):
+    if isinstance(authority, (int, float)) and not isinstance(authority, bool):
         authority = (authority,)
     if authority is not None and not isinstance(authority, (list, tuple)):
         raise ValueError(f"{file}: authority is {authority!r}; it must be a number, or one each for surge and yaw")

@@ -12,7 +12,7 @@ import numpy as np
 
 from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.intervals import Interval
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import flatten
 from auv_gym.planning.paths import PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import (
@@ -91,7 +91,7 @@ def data(agents: Mapping[str, Exported]) -> str:
 
 def places(row: Any) -> dict[str, int]:
     """Return the index of each field of a row, by name; of a nested field the index of its first number."""
-    return {name: place if isinstance(place, int) else leaves(place)[0] for name, place in row._asdict().items()}
+    return {name: place if isinstance(place, int) else flatten(place)[0] for name, place in row._asdict().items()}
 
 
 def scenario_of(speed_range: str, case: str, path: Path) -> Scenario:
@@ -151,7 +151,7 @@ def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     return {
         "table": encoded(table, np.float64),
         "beyond": encoded(beyond, np.float64),
-        "weather": leaves(weather),  # the largest values; the controls of the page scale them
+        "weather": flatten(weather),  # the largest values; the controls of the page scale them
     }
 
 
@@ -191,7 +191,7 @@ def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
 def _constants(speed_range: str, case: str, path: Path, seed: int) -> list[float]:
     """Return the parameters of an episode as numbers; infinite ones are the largest finite number."""
     scenario = scenario_of(speed_range, case, path)
-    numbers = np.array(leaves(scenario.parameters(episode_of(speed_range, case, path, seed))))
+    numbers = np.array(flatten(scenario.parameters(episode_of(speed_range, case, path, seed))))
     finite: list[float] = np.nan_to_num(numbers, posinf=np.finfo(float).max).tolist()
     return finite
 

@@ -9,7 +9,7 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, plain_function, tangent_function
 from auv_gym.codegen.vectors import plain_program
-from auv_gym.physics.rows import filled
+from auv_gym.physics.rows import unflatten
 from auv_gym.scenarios.exogenous import (
     GUST_ROWS,
     GUSTS,
@@ -86,7 +86,7 @@ def _sea_kernel() -> Kernel:
     """Return the kernel of the disturbances and measurement errors of a sample, from the gusts of the sample before."""
 
     def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> dict[str, Any]:
-        w, k = filled(WEATHER, weather), gust[0]
+        w, k = unflatten(WEATHER, weather), gust[0]
         new = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
         current = gusty_current(k, (new.s_x, new.s_y), w, SYMBOLS)
         load = wave_load(k, [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)], SYMBOLS)

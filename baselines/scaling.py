@@ -22,7 +22,9 @@ from auv_gym.task.policy import Law, Policy, preview_of, traceable
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts
 
 
-def made_for(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
+def scaled_for(
+    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]
+) -> Policy:
     """Return a policy for a vehicle: made in the paper's units, with observations scaled to these units.
 
     Args:
@@ -41,7 +43,7 @@ def made_for(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None, m
     if units == Units():
         return make(vehicle_model or known)
     policy = make(vehicle_model.in_paper_units if vehicle_model else in_paper_units(known))
-    return SimilarLaw(policy, units) if isinstance(policy, Law) and traceable(policy) else Similar(policy, units)
+    return ScaledLaw(policy, units) if isinstance(policy, Law) and traceable(policy) else ScaledPolicy(policy, units)
 
 
 def shown_factors(units: Units) -> list[float]:
@@ -49,7 +51,7 @@ def shown_factors(units: Units) -> list[float]:
     return [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
 
 
-class Similar(Batched):
+class ScaledPolicy(Batched):
     """A policy in the paper's units as a policy in SI units, with the `predict` of Stable-Baselines3 and its memory.
 
     Args:
@@ -78,7 +80,7 @@ class Similar(Batched):
         return self.policy.predict(scaled, state, episode_start, deterministic)
 
 
-class SimilarLaw(Law):
+class ScaledLaw(Law):
     """A control law in the paper's units as a control law in SI units.
 
     Args:
