@@ -154,7 +154,10 @@ def _known(given: Sequence[str]) -> dict[str, float]:
         except ValueError:
             number = math.nan
         if name in known or not math.isfinite(number) or (name in NEEDED and number <= 0):
-            raise UsageError(f"--known {text} must be NAME=VALUE, such as m11=250, once for each name; masses > 0")
+            raise UsageError(
+                f"--known {text} must be NAME=VALUE, such as m11=250, once for each name, finite, and positive for "
+                "masses and linear drag"
+            )
         known[name] = number
     return known
 

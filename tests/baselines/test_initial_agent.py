@@ -272,7 +272,7 @@ def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
     shown = fine_tuning._row("otter", {**own, "backstepping": own["helm"]}, "helm")
     assert shown[:2] == ["`otter`", "`nmpc`"]
     assert shown[2:5] == ["2.00 (2.00 ... 2.00)", "0.80 (0.80 ... 0.80)", "0.40 (0.40 ... 0.40)"]
-    assert shown[5:] == [f"1, {own['helm']['failed']}, 1", "0.25", "61"]
+    assert shown[5:] == [f"1, 1, {own['helm']['failed']}, 1", "0.25", "61"]
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there
