@@ -73,7 +73,7 @@ class LoopKernels:
 
     @cached_property
     def observe(self) -> Kernel:
-        """observation, ahead, correction, integrals (and base, known if given) -> features, following, base."""
+        """The kernel of features and expert's action, from observation, preview, last correction and integrals."""
 
         def equation(
             observation: _Symbols,
@@ -92,7 +92,7 @@ class LoopKernels:
 
     @cached_property
     def observe_adjoint(self) -> Kernel:
-        """d_features, d_base, d_integrals after -> d_observation, d_correction, d_integrals before."""
+        """The adjoint of `observe`, from the derivatives of its results to those of its inputs."""
 
         def equation(
             observation: _Symbols,
@@ -131,17 +131,21 @@ class LoopKernels:
 
     @cached_property
     def move(self) -> Kernel:
-        """state, base, correction, sample -> landed, observation, squared_error."""
+        """The kernel of a control step: next state, observation and squared error, from state, actions and sample."""
 
         def equation(**arrays: _Symbols) -> _Results:
             moved = self._moved(**arrays)
-            return {"landed": moved.state, "observation": moved.observation, "squared_error": (moved.squared_error,)}
+            return {
+                "next_state": moved.state,
+                "observation": moved.observation,
+                "squared_error": (moved.squared_error,),
+            }
 
         return self._traced(equation, MOVED)
 
     @cached_property
     def move_adjoint(self) -> Kernel:
-        """d_state, d_observation, d_correction after -> d_state, d_base, d_correction before."""
+        """The adjoint of `move`, from the derivatives of its results to those of state, action and correction."""
 
         def equation(
             d_state: _Symbols, d_observation: _Symbols, d_correction: _Symbols, **arrays: _Symbols
@@ -177,7 +181,7 @@ class LoopKernels:
         return self.loop.move(state, base, correction, sample, parameters, authority, loss, SYMBOLS)
 
     def _traced(self, equation: Equation, rows: Mapping[str, int]) -> Kernel:
-        arrays = {*rows, "features", "following", "landed", "observation", "squared_error", "base"}
+        arrays = {*rows, "features", "following", "next_state", "observation", "squared_error", "base"}
         over_time = sorted(arrays - FIXED)
         long = self.loop.inputs.filters and "ahead" in rows  # the equations of the filters
         return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True, blocked=long)

@@ -134,7 +134,7 @@ class Window:
         d = self._d
         self._observe = kernels.observe.bound(**seen, features=self._features, following=after.integrals)
         self._move = kernels.move.bound(
-            **moved, landed=after.state, observation=after.observation, squared_error=self._squared
+            **moved, next_state=after.state, observation=after.observation, squared_error=self._squared
         )
         d_observe = {name: d[name] for name in d if name != "d_state"}
         d_move = {name: d[name] for name in ("d_state", "d_observation", "d_correction", "d_base")}
