@@ -40,7 +40,7 @@ LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
 _UNFINISHED = ".unfinished-"
 """Beginning of the name of a folder in which a dataset is being written."""
 _ID = r"([A-Za-z0-9][\w-]+/)*[A-Za-z0-9][\w-]*-v\d+"
-"""Pattern of the ids that Minari accepts."""
+"""Pattern of ids: Minari accepts all of them."""
 _MOST_EPISODES = 10**6
 _LEFTOVER = 3600.0
 """Age [s] from which such a folder belongs to a process that was killed."""
@@ -308,7 +308,10 @@ def main(arguments: Sequence[str]) -> int:
     if not options.policy or not options.noise:
         raise UsageError("--policy and --noise need one value or more")
     if options.id is not None and not re.fullmatch(_ID, options.id):
-        raise UsageError(f"--id is {options.id!r}; it must be NAME-v0 or FOLDER/NAME-v0, of letters, digits, - and _")
+        raise UsageError(
+            f"--id is {options.id!r}; it must be NAME-v0 or FOLDER/NAME-v0, of letters, digits, - and _, with folders "
+            "of two letters or more"
+        )
     if options.seed < 0:
         raise UsageError(f"--seed is {options.seed}; it must be at least 0")
     for noise in options.noise:

@@ -25,7 +25,7 @@ def test_seeds_of_studies_are_in_their_range():
 
 
 def test_only_the_tables_define_seeds():
-    """ProcessObject no number of seven digits follows the word seed, except in the builder of frozen suites."""
+    """Elsewhere no number of seven digits follows the word seed, except in the builder of frozen suites."""
     for file in (*ROOT.glob("baselines/**/*.py"), *ROOT.glob("research/**/*.py"), *ROOT.glob("*.py")):
         if file.name in ("seeds.py", "builder.py"):
             continue

@@ -18,7 +18,7 @@ CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0
 ADVERSE_WEIGHT = 8.0  # weight of the adverse scenario in the mixture of a speed range
 _WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
 LONG_OUTAGE_TIME = (5.0, 35.0)  # [s]
-FAR = {"slow": 5.0, "cruise": 8.0}  # [m] largest distance of a far start on each axis
+FAR = {"slow": 5.0, "cruise": 8.0}  # [m] largest distance of a start on each axis
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] duration of an outage of position fixes
 
 
@@ -63,7 +63,7 @@ def adverse(speed_range: str) -> Scenario:
 def outages_and_far_starts(speed_range: str) -> Mixture:
     """Return storms with long outages of the position fix, and storms that begin far from the path, half of each.
 
-    With the outages alone an agent unlearns to return from far starts.
+    With the outages alone an agent unlearns to return from large initial errors.
     """
     storm = PRESETS[f"{speed_range}-storm"]
     sensors = replace(storm.sensors, outages=1.5, outage_time=LONG_OUTAGE_TIME)
@@ -90,7 +90,7 @@ def hasty() -> Scenario:
     return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
 
 
-SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
+SLEW_TIMES = (0.5, 1.0)  # [s] in which rate-limited actuators go from zero to their limits
 SLEWING: Mapping[str, Mixture] = {
     f"{speed_range}-slew": tuple(
         (slewing(PRESETS[f"{speed_range}-{case}"], seconds), 0.25)

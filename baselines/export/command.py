@@ -75,8 +75,8 @@ def main(arguments: Sequence[str]) -> int:
 
 def _name(options: Options) -> str:
     """Return the name of the files: that of the agent or of its run, and that of another vehicle."""
-    path = Path(options.agent)
-    agent = path.resolve().parent.name if path.name == "agent" else path.name
+    path = Path(options.agent).resolve()
+    agent = path.parent.name if path.name == "agent" else path.name
     return agent if options.vehicle == PAPER.name else f"{agent}-{Path(options.vehicle).stem}"
 
 

@@ -89,7 +89,6 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError("no LOG is given; name one file or more")
     if options.example:
         return _written_example(options)
-    checked_folder(options.out)
     if not 0 <= options.ensemble <= _LARGEST_ENSEMBLE:
         raise UsageError(f"--ensemble {options.ensemble} must be 0 to {_LARGEST_ENSEMBLE}")
     try:
@@ -103,6 +102,7 @@ def main(arguments: Sequence[str]) -> int:
             if current := [name for name in known if is_current(name)]:
                 raise ValueError(f"--still-water excludes --known {current[0]}")
             known |= {name: 0.0 for name in names_of(log) if is_current(name)}
+        checked_folder(options.out)
         found = identify(log, options.terms or None, not options.through_water, known)
         result = held_out(found, others[0]) if others else None
     except ValueError as error:

@@ -94,12 +94,32 @@ def parse_yaml(text: str) -> Any:
     """Return the value of a YAML text.
 
     Raises:
-        ValueError: it is no YAML, or `checked_plain` refuses it.
+        ValueError: it is no YAML, `checked_plain` refuses it, or it is too large with its aliases expanded.
     """
     import yaml
 
     with guarded("YAML"):
-        return checked_plain(yaml.safe_load(text))
+        loader = yaml.SafeLoader(text)
+        if (node := loader.get_single_node()) is None:
+            return None
+        _count_entries(node, {})
+        return checked_plain(loader.construct_document(node))
+
+
+def _count_entries(node: Any, known: dict[int, float]) -> float:
+    """Return the number of entries of a YAML node with its aliases expanded, without expanding them.
+
+    Raises:
+        ValueError: there are more than `LARGEST_TREE`.
+    """
+    if id(node) not in known:
+        known[id(node)] = math.inf  # the count of a node that contains itself
+        children = node.value if isinstance(node.value, list) else []
+        pairs = (child if isinstance(child, tuple) else (child,) for child in children)
+        known[id(node)] = 1 + sum(_count_entries(child, known) for pair in pairs for child in pair)
+    if known[id(node)] > LARGEST_TREE:
+        raise ValueError(f"it has more than {LARGEST_TREE} entries with its aliases expanded")
+    return known[id(node)]
 
 
 def checked_plain(value: Any) -> Any:

@@ -112,7 +112,7 @@ class ProcessObject:
 
 
 _kept: list[Any] = []
-"""The object of an `ProcessObject` in its process."""
+"""The object of a `ProcessObject` in its process."""
 
 
 def _keep(make: Callable[..., Any], arguments: Sequence[Any]) -> None:

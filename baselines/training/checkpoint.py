@@ -65,7 +65,7 @@ def unpacked(content: bytes) -> dict[str, Any]:
 
 @cache
 def code_digest() -> bytes:
-    """Return the SHA-256 of the source files of `auv_gym` and `baselines`."""
+    """Return the SHA-256 of the Python source files of `auv_gym` and `baselines` at the first call."""
     found = hashlib.sha256()
     for package in ("auv_gym", "baselines"):
         spec = find_spec(package)

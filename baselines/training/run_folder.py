@@ -20,7 +20,7 @@ from baselines.agents.agent import Agent
 from baselines.agents.networks import Weights
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import json_text, read_csv, read_json, write_atomically
-from baselines.training.checkpoint import UNREADABLE, packed, unpacked
+from baselines.training.checkpoint import UNREADABLE, code_digest, packed, unpacked
 from baselines.training.config import Config
 from baselines.training.validation import VALIDATION_PRECISION, Validation, validation_cell
 
@@ -105,6 +105,7 @@ class RunFolder:
         self.folder = folder
         self.processes = processes
         self.keeps_last = False
+        code_digest()  # of the code that runs, not of files that change later
         self.weights: Weights = {}
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []

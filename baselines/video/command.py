@@ -83,6 +83,7 @@ def main(arguments: Sequence[str]) -> int:
         )
     policies = checked_policies(options.policy)
     workers = checked(partial(Workers.of, options.jobs))
+    checked_folder(options.out.parent)
     try:
         k, found = _typical(policies, scenario, options, workers) if options.episodes else (0, [])
         seed = options.seed + k
@@ -112,7 +113,6 @@ def _checked(options: Options) -> tuple[int, int]:
         raise UsageError(f"--out is {options.out}; its name must end in {', '.join(WRITERS)}")
     if options.out.is_dir():
         raise UsageError(f"--out {options.out} is a folder; give the name of a file")
-    checked_folder(options.out.parent)
     if not 1 <= len(options.policy) <= MOST_PANELS:
         raise UsageError(f"--policy names {len(options.policy)} policies; a video shows 1 to {MOST_PANELS}")
     for name, least, most in (("seed", 0, 2**62), ("episodes", 1, _MOST_EPISODES), ("fps", 1, 60)):

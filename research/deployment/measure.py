@@ -37,7 +37,7 @@ _CASE = "storm"  # case in which commands are compared: all disturbances togethe
 _SEED = 5  # seed of the episodes in which commands are compared
 _DECISIONS = 200  # number of decisions on the emulated processor
 AGENTS = ("apg-cruise", "helm", "helm-any", "helm-small", "ppo-cruise", "sac-cruise")
-"""Agents by default: one of each network and set of inputs."""
+"""Agents by default: networks of several sizes and kinds."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Options:
     """
 
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]", help_behavior_hint="")] = AGENTS
-    """Names of shipped agents. Default: six, one of each kind."""
+    """Names of shipped agents. Default: six of them."""
     episodes: int = 24
     """Episodes of each cell of the suite for the score."""
     out: Path = MEASURED_FILE

@@ -34,7 +34,7 @@ _DESCRIPTIONS = {
     "unmodelled-v1": "Sensor and actuator faults that most policies do not model.",
     "deep-v1": "Position fixes are rare. Between fixes the position is estimated by dead reckoning.",
     "sealed-v1": "Conditions that were secret until all policies were frozen. `helm` and `helm-any` were trained again "
-    "after that, `helm-any` on large initial errors and outages as long as these, so they know conditions like these.",
+    "afterwards, `helm-any` also on large initial errors and on outages as long as these.",
 }
 
 

@@ -76,7 +76,7 @@ class SimulatorBodies:
         self.now = Side(np.stack(flatten(plant)), np.asarray(seen), np.stack([np.asarray(x, float) for x in outcome]))
 
     def undo(self) -> None:
-        """Raise RuntimeError: a step is undone only if the next episode cannot begin, and those of `rollout` can."""
+        """Raise RuntimeError. Only an environment that cannot plan an episode undoes a step; `rollout` plans none."""
         raise RuntimeError("a step of another simulator cannot be undone")
 
     def _moved(

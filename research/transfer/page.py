@@ -68,7 +68,7 @@ def verdict(record: Mapping[str, Any]) -> str:
     runs = record["episodes"] * len(record["cases"]) * len(policies)
     return (
         f"Kendall's tau is {tau:.2f} ({_ends(record['tau']['ci95'])}). In the plane "
-        f"{_smallest(record['best']['plane'])}, in 6-DOF {_smallest(record['best']['space'])}. The errors in 6-DOF are "
+        f"{_smallest(record['best']['plane'])}; in 6-DOF {_smallest(record['best']['space'])}. The errors in 6-DOF are "
         f"{ratios[0][0]:.2f} (`{ratios[0][1]}`) to {ratios[-1][0]:.2f} (`{ratios[-1][1]}`) times those in the plane; "
         f"the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {failed} of {runs} episodes "
         f"in 6-DOF, {before} in the plane."

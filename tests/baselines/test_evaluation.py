@@ -420,6 +420,8 @@ def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
     file.write_text(PUSHES.format(0.1) + "\nwith open(__file__, 'a') as own:\n    own.write('# changed')\n")
     (run,) = run_all((f"{file}:Push",), [drawn(SMALL, 1, 0)])
     assert (run.measures, run.error) == (None, "its files changed while it ran")
+    file.write_text(PUSHES.format(0.1))
+    assert run_all((f"{file}:Push",), [drawn(SMALL, 1, 0)])[0].error is None
 
 
 def test_interruption_prints_one_line(monkeypatch, capsys):

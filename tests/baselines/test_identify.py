@@ -305,6 +305,7 @@ def test_wrong_options_are_one_line_and_change_nothing(words, says, log, tmp_pat
     assert says in err
     assert err.count("\n") == 1
     assert Path("log.csv").read_bytes() == before
+    assert [file.name for file in Path().iterdir()] == ["log.csv"]
 
 
 @pytest.mark.slow
