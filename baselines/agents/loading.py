@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -87,23 +89,26 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     module = ModuleType(f"user_policy_{file.stem}")
     module.__file__ = str(file)
     sys.modules[module.__name__] = module  # dataclasses look up their module here
-    try:
+    with _users_code(f"{file} cannot be imported"):
         # Not imported: the bytecode that an import keeps is stale if the file changes within a second.
         exec(compile(source, file, "exec", dont_inherit=True), vars(module))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # noqa: BLE001 - a user's file can raise anything
-        raise ValueError(f"{file} cannot be imported: {described(error)}") from None
     make = getattr(module, factory, None)
     if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r}")
     known = vehicle.vehicle if isinstance(vehicle, VehicleModel) else vehicle
-    try:
+    with _users_code(f"{factory} of {file} fails"):
         policy: Policy = make(**{**vehicle_option(make, known), **options})
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # noqa: BLE001 - a user's file can raise anything
-        raise ValueError(f"{factory} of {file} fails: {described(error)}") from None
     if not callable(getattr(policy, "predict", None)):
         raise ValueError(f"{factory} of {file} returns a {type(policy).__name__}, which has no method predict")
     return policy
+
+
+@contextmanager
+def _users_code(failure: str) -> Iterator[None]:
+    """Turn whatever a user's code raises, except KeyboardInterrupt, into a ValueError that begins with `failure`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # noqa: BLE001 - it can raise anything
+        raise ValueError(f"{failure}: {described(error)}") from None

@@ -8,6 +8,7 @@ from auv_gym.installation import RECORD, found
 
 SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 """Folder of the agents that ship with the package, one folder each."""
+AGENT_FOLDER = "agent"  # folder of the trained agent in the folder of a run
 FADING = ":fade"
 """Suffix of an agent's name: its corrections fade outside of the region of its training, see `Agent.policy`."""
 GUARD = ":guard"
@@ -37,7 +38,7 @@ def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent by its name, its path, or the folder of its training run; None if there is none."""
     if name.startswith(COMMAND):
         return None
-    places = (found(SHIPPED_FOLDER, name),) if name in shipped_agents() else (Path(name), Path(name, "agent"))
+    places = (found(SHIPPED_FOLDER, name),) if name in shipped_agents() else (Path(name), Path(name, AGENT_FOLDER))
     return next((place for place in places if (place / "agent.json").is_file()), None)
 
 

@@ -57,9 +57,11 @@ def main(arguments: Sequence[str]) -> int:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")
     try:
-        agent = replace(exported(options.agent, options.vehicle), name=_name(options))
+        agent = exported(options.agent, options.vehicle)
     except ValueError as error:
         raise UsageError(str(error)) from None
+    if options.vehicle != PAPER.name:
+        agent = replace(agent, name=f"{agent.name}-{Path(options.vehicle).stem}")
     checked_folder(options.out)
     files: dict[str, bytes] = {}
     if options.format in ("all", "c"):
@@ -71,13 +73,6 @@ def main(arguments: Sequence[str]) -> int:
         write_atomically(file, content)
         print(f"written: {file} ({len(content):,} bytes)")
     return DONE
-
-
-def _name(options: Options) -> str:
-    """Return the name of the files: that of the agent or of its run, and that of another vehicle."""
-    path = Path(options.agent).resolve()
-    agent = path.parent.name if path.name == "agent" else path.name
-    return agent if options.vehicle == PAPER.name else f"{agent}-{Path(options.vehicle).stem}"
 
 
 def _onnx(agent: Exported, precision: str) -> bytes:

@@ -29,7 +29,7 @@ from auv_gym.task.policy import Law, traceable
 from auv_gym.task.preview import preview_columns
 from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from baselines.agents.agent import AGENT_FILE, Agent, make_expert
-from baselines.agents.names import FADING, agent_folder, shipped_agents
+from baselines.agents.names import AGENT_FOLDER, FADING, agent_folder, shipped_agents
 from baselines.agents.networks import OUTPUTS
 from baselines.agents.residual_policy import command_kernel, feature_kernel
 from baselines.tools.files import read_json
@@ -122,7 +122,9 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
     forces = cast(Law, expert).forces
     see = feature_kernel(agent.inputs, forces, scaled, Units.of(known))
     network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
-    return Exported(folder.name, agent, record["weights_sha256"], see, network, command, known, span)
+    here = folder.resolve()
+    called = here.parent.name if here.name == AGENT_FOLDER else here.name
+    return Exported(called, agent, record["weights_sha256"], see, network, command, known, span)
 
 
 def widest_span(vehicle: Vehicle | VehicleModel | str) -> int:

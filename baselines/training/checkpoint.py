@@ -10,10 +10,11 @@ import hashlib
 import io
 from collections.abc import Mapping
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
+
+import auv_gym
 
 DIGEST = hashlib.sha256().digest_size
 """Length of each of the two digests in front of a checkpoint: of the rest, and of the code."""
@@ -67,10 +68,7 @@ def unpacked(content: bytes) -> dict[str, Any]:
 def code_digest() -> bytes:
     """Return the SHA-256 of the Python source files of `auv_gym` and `baselines` at the first call."""
     found = hashlib.sha256()
-    for package in ("auv_gym", "baselines"):
-        spec = find_spec(package)
-        assert spec is not None
-        assert spec.origin is not None
-        for file in sorted(Path(spec.origin).parent.rglob("*.py")):
+    for package in (Path(auv_gym.__file__).parent, Path(__file__).parents[1]):
+        for file in sorted(package.rglob("*.py")):
             found.update(file.read_bytes())
     return found.digest()

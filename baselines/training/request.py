@@ -15,6 +15,7 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
+from baselines.agents.names import AGENT_FOLDER
 from baselines.evaluation.request import checked, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError, checked_folder
@@ -29,7 +30,7 @@ from baselines.training.hyperparameters import (
 )
 from baselines.training.initial_agent import ALGO, InitialAgent, fitted, in_own_units
 from baselines.training.options import Options
-from baselines.training.run_folder import AGENT_FOLDER, LOCK, read_config
+from baselines.training.run_folder import LOCK, read_config
 
 DEFAULT_AUTHORITY = (0.5,)  # largest correction of surge and yaw, a fraction of the limits
 DEFAULT_SCENARIO = ("cruise",)  # of `--scenario`

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 CONFIG = "config.json"  # file of the training's `Config`
 PROGRESS = "progress.csv"  # file of the learning curve
 CHECKPOINT = "checkpoint.pt"  # file that a run is resumed from
-AGENT_FOLDER = "agent"  # folder of the trained agent
 EVENTS = "tensorboard"  # folder of TensorBoard's files
 LOCK = ".lock"  # file that the writing process locks; without a lock on it the file has no meaning
 VALIDATIONS = 20

@@ -19,6 +19,7 @@ from tyro.conf import arg
 from auv_gym.scenarios.presets import CASES
 from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.scenarios.vehicles import vehicle_names
+from baselines.agents.names import AGENT_FOLDER
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
@@ -45,7 +46,6 @@ from baselines.training.hyperparameters import (
 )
 from baselines.training.initial_agent import ALGO
 from baselines.training.options import Options as Training
-from baselines.training.run_folder import AGENT_FOLDER
 from research import DATA
 from research.pages import table
 from research.seeds import FINE_TUNING

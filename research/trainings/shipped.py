@@ -12,12 +12,11 @@ from tyro.conf import Positional, arg
 from auv_gym.installation import found
 from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE_FILE
-from baselines.agents.names import SHIPPED_FOLDER
+from baselines.agents.names import AGENT_FOLDER, SHIPPED_FOLDER
 from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
 from baselines.training.options import Options as Training
-from baselines.training.run_folder import AGENT_FOLDER
 from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research train-all"

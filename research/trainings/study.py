@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.presets import SPEED_RANGES
+from baselines.agents.names import AGENT_FOLDER
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
@@ -24,7 +25,6 @@ from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT_FOLDER
 from research.trainings.shipped import SHIPPED_RUNS, install_agent, with_start
 from research.trainings.study_files import STUDIES_FOLDER, Study, save_study
 from research.trainings.trainings import (

@@ -44,9 +44,10 @@ class TransferTask:
     def run(self) -> tuple[TransferTask, dict[str, Any]]:
         """Return the task and its results by case: capped steady-state errors [m] and failures in each simulator."""
         found: dict[str, dict[str, Any]] = {case: {} for case in self.cases}
+        cells = self.cells
         for place in (PLANE, SPACE):
-            measures = self.measures(place)
-            for i, (case, cell) in enumerate(zip(self.cases, self.cells, strict=True)):
+            measures = self.measures(place, cells)
+            for i, (case, cell) in enumerate(zip(self.cases, cells, strict=True)):
                 own, cap = measures[i * self.episodes : (i + 1) * self.episodes], cap_of(cell.scenario)
                 found[case][place] = {"steady_rmse": capped(own, cap), "failed": count_failures(own, cap)}
         return self, found
@@ -64,9 +65,8 @@ class TransferTask:
             return None
         return bodies(lambda n: SixDofSimulator(self.vehicle, n), vehicle_model(self.vehicle).vehicle)
 
-    def measures(self, place: str) -> Measures:
+    def measures(self, place: str, cells: Sequence[Cell]) -> Measures:
         """Run the policy in a simulator, `PLANE` or `SPACE`, and return the measures of its episodes, case by case."""
-        cells = self.cells
         scenario, policy = cells[0].scenario, make_policy(self.policy, vehicle_model(self.vehicle).vehicle)
         given = [(cell.scenario, cell.episodes) for cell in cells]
         begun = beginning(given, preview_of(policy), bodies=self.bodies(place))

@@ -25,7 +25,7 @@ from auv_gym.installation import install
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.agent import Agent
-from baselines.agents.names import agent_folder
+from baselines.agents.names import AGENT_FOLDER, agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.tools import command_line
 from baselines.tools.command_line import UsageError, parse, run
@@ -37,7 +37,7 @@ from baselines.training.hyperparameters import TRAINED_ENV, changes_of, hyperpar
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT_FOLDER, RunFolder, locked, read_config, read_progress
+from baselines.training.run_folder import RunFolder, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
 from research.trainings import shipped
 from research.trainings.trainings import FIRST_TRAININGS, SHIPPED_TRAININGS, training

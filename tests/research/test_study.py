@@ -9,11 +9,11 @@ import pytest
 
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
+from baselines.agents.names import AGENT_FOLDER
 from baselines.agents.networks import Gru
 from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
 from baselines.tools.command_line import parse, run
 from baselines.training.options import Options
-from baselines.training.run_folder import AGENT_FOLDER
 from research.results import learning
 from research.results.collection import results_of
 from research.trainings import study

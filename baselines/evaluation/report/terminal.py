@@ -65,7 +65,7 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    scored = any(column.heading.startswith("score") for column in columns)
+    scored = any(column.key == "score.mean" for column in columns)
     caption = "steady: RMSE after the first third of an episode" + (f"; score: {SCALE}" if scored else "")
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(kind, no_wrap=True)
