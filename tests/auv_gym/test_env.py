@@ -44,6 +44,8 @@ def rollout(env, policy, steps, **reset):
 
 @pytest.mark.parametrize("scenario", PRESETS)
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # the residual environment is a wrapper
+# The checkers reset without a seed: some drawn speeds are above those at which the default gains are stable.
+@pytest.mark.filterwarnings("ignore::baselines.control.backstepping.StabilityWarning")
 @pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
 def test_environment_checkers(env_id, scenario):
     env = gym.make(env_id, scenario=scenario)
