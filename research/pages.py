@@ -27,7 +27,7 @@ PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 120
 """Most characters in a line of prose."""
-SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
+SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v2")
 PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},

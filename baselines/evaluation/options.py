@@ -26,7 +26,7 @@ class Options:
     name or folder of an agent reduces its corrections outside of the region of its training data."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """A frozen suite: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; a score of 1 is the oracle's),
-    "benchmark-v1-validation", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "deep-v1", "sealed-v1" or
+    "benchmark-v1-validation", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "deep-v1", "sealed-v2" or
     "vehicles-v2", see docs/suites.md. The tables also show the recorded results of other policies. Or "presets": all
     presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()

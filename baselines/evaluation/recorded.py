@@ -35,7 +35,7 @@ from baselines.policies import list_policies
 from baselines.tools.files import json_text, write_atomically
 
 RECORDED_FOLDER = Path(__file__).parent / "data" / "recorded"  # a folder for each suite, a file for each policy
-RECORDED_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1", "vehicles-v2")
+RECORDED_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v2", "vehicles-v2")
 """The suites with recorded rows."""
 STAMPS_FILE = "fingerprints.json"  # file of the hashes and fingerprints
 

@@ -13,10 +13,6 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, score, speed_range_of
 from baselines.evaluation.suites import Suite, SuiteError
 
-TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
-"""Difference of mean errors [m] by which another policy may be better than the oracle in a case, by suite. If a current
-is nearly as fast as the path, the plan of the oracle relative to the water turns sharply, and a few episodes settle
-late."""
 ROUNDING = 1e-5
 """Difference of mean errors [m] by which another policy may be better than the full-information optimum in a case: the
 tolerance of the solver."""

@@ -32,7 +32,7 @@ from research.trainings.study_files import Study, load_studies
 
 _RIVALS = {"benchmark-v2": RIVAL, "unmodelled-v1": ADVERSE_RIVAL}
 """The strongest controller without learning, by suite."""
-_SEALED = "sealed-v1"
+_SEALED = "sealed-v2"
 _HEADS = ("agent", "seeds", "score", "lead", "95 %", "held-out lead", "95 %", "failures", "command rate")
 
 

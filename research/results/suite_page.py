@@ -33,8 +33,8 @@ _DESCRIPTIONS = {
     "ood-v1": "Disturbances outside the ranges of the training.",
     "unmodelled-v1": "Sensor and actuator faults that most policies do not model.",
     "deep-v1": "Position fixes are rare. Between fixes the position is estimated by dead reckoning.",
-    "sealed-v1": "Conditions that were secret until all policies were frozen. `helm` and `helm-any` were trained again "
-    "afterwards, `helm-any` also on large initial errors and on outages as long as these.",
+    "sealed-v2": "Conditions outside most trainings. The episodes were secret until all policies were frozen. "
+    "`helm-any` was trained on large initial errors and on outages as long as these.",
 }
 
 
@@ -105,7 +105,7 @@ def _bound(results: Results) -> str:
     return (
         f"`{OPTIMUM_POLICY}`, the full-information optimum, knows all disturbances in advance and optimises the\n"
         f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the case.\n"
-        f"The optimisation is converged to {1e3 * ROUNDING:g} mm. Policies with an error smaller by more: {names}.\n"
+        f"Policies with an error smaller by more than {1e3 * ROUNDING:g} mm: {names}.\n"
         f"Of all other policies `{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases."
     )
 

@@ -34,7 +34,7 @@ COUNTS = "episodes", "failed", "guarded_failed", "expert_keeps", "guarded_expert
 """Keys of the counts of a row; "expert_keeps" are failures in episodes in which the expert does not fail."""
 STEADY_RMSES = "steady_rmse_mm", "guarded_steady_rmse_mm"
 """Keys of the mean errors of a row."""
-_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
+_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v2")
 """Suites in which policies fail."""
 _BATCH = 520  # episodes that are simulated together
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch
+from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.faults import FAULTS, RandomFaults
 from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from baselines.evaluation.suites import SuiteError
@@ -30,16 +31,19 @@ BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the
 BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside the speed ranges
 _MISSION = 300.0  # [s] duration of a mission
 _SLEW = 2.0  # [s] time from zero to the limit of slewing actuators
-FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 1.0}
-"""Arguments of `sealed_worlds` for `sealed-v1`. Since then `helm` and its variants are trained up to 1.6 m/s and with a
-slew time of a second."""
-WORLDS: Mapping[str, Mapping[str, Any]] = {"sealed-v1": FIRST, "sealed-v2": {}}
-"""Arguments of `sealed_worlds` for each sealed suite."""
 _OUTAGES = 3.0  # [1/min] rate of outages of the position fix
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] duration of an outage
 _FAR = 5.0  # [m] largest distance of a far start on each axis
 MASS_SHARES = (0.7, 1.3)  # masses of a vehicle as shares of the known ones
 DRAG = (0.6, 1.4)  # drag of a vehicle as shares of the known one
+
+LAG = (1.5, 2.5)  # [s] time constants of the actuators
+WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
+PERIOD = 0.05  # [s] control period
+CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
+_TURN = {"slow": (-0.04, 0.04), "cruise": (-0.1, 0.1)}  # [rad/s] turn rate of a turning current
+_ACTUATOR_FAULTS = tuple(kind for kind in FAULTS if kind.endswith(("stuck", "dead", "one way")))
+_SENSOR_FAULTS = tuple(kind for kind in FAULTS if kind not in _ACTUATOR_FAULTS)
 
 
 @dataclass(frozen=True)
@@ -115,33 +119,32 @@ def seed(name: str) -> int:
 
 def worlds_hash(name: str) -> str:
     """Return the SHA-256 of the scenarios of a sealed suite."""
-    return sha256(json.dumps([[s.to_dict(), mission] for s, mission in sealed_worlds(**WORLDS[name])], sort_keys=True))
+    return sha256(json.dumps([[s.to_dict(), is_mission(s)] for s in WORLDS[name]()], sort_keys=True))
 
 
-def sealed_worlds(
-    beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = _SLEW
-) -> list[tuple[Scenario, bool]]:
-    """Return the scenarios of a sealed suite, and whether each follows random waypoints in place of path families.
+def is_mission(scenario: Scenario) -> bool:
+    """Return whether a scenario follows random waypoints in place of path families."""
+    return scenario.name.endswith("-mission")
 
-    They are outside the distributions of training (`auv_gym.scenarios.mixtures`) and tuning: speeds between and beyond
-    the speed ranges, missions of five minutes, slewing actuators, long outages of the position fix, far starts, other
-    vehicles, and a combination of these.
 
-    Args:
-        beyond: speeds [m/s] outside the speed ranges, by speed range.
-        slew: time [s] from zero to the limit of slewing actuators.
+def second_worlds() -> list[Scenario]:
+    """Return the scenarios of `sealed-v2`: storms outside the training of `helm`.
+
+    They have speeds between and beyond the speed ranges, missions of five minutes, slewing actuators, long outages of
+    the position fix, far starts, other vehicles, and a combination of these. The training of `helm-any` has long
+    outages and far starts.
     """
-    found = []
-    for speed_range in SPEED_RANGES:
-        storm = PRESETS[f"{speed_range}-storm"]
+
+    def changes(storm: Scenario, speed_range: str) -> dict[str, dict[str, Any]]:
         assert isinstance(storm.path, RandomPath)
-        slewing = _slewing(storm, slew)
+        act = storm.actuators
+        slewing = replace(act, F_u_rate=act.F_u_max / _SLEW, F_r_rate=act.F_r_max / _SLEW)
         patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
         far = Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
         vehicles = _vehicles(storm)
-        changes: Mapping[str, dict[str, Any]] = {
+        return {
             "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
-            "beyond": {"path": replace(storm.path, speed=beyond[speed_range])},
+            "beyond": {"path": replace(storm.path, speed=BEYOND[speed_range])},
             "mission": {"steps": round(_MISSION / storm.control_dt)},
             "slew": {"actuators": slewing},
             "outages": {"sensors": patchy},
@@ -155,16 +158,53 @@ def sealed_worlds(
                 "current": _sheared(storm, speed_range),
             },
         }
-        found += [
-            (replace(storm, name=f"{speed_range}-{name}", **change), name == "mission")
-            for name, change in changes.items()
-        ]
-    return found
+
+    return _storms(changes)
 
 
-def _slewing(storm: Scenario, slew: float) -> Any:
-    act = storm.actuators
-    return replace(act, F_u_rate=act.F_u_max / slew, F_r_rate=act.F_r_max / slew)
+def third_worlds() -> list[Scenario]:
+    """Return the scenarios of `sealed-v3`: storms with changes that the training of no agent has.
+
+    They have faults of actuators or of measurements, actuators with a lag of about two seconds or with half the force,
+    half the control period, a turning current, short waves, and a combination of these.
+    """
+
+    def changes(storm: Scenario, speed_range: str) -> dict[str, dict[str, Any]]:
+        assert isinstance(storm.current, RandomCurrent)
+        assert isinstance(storm.waves, RandomWaves)
+        weak = replace(storm.actuators, effectiveness=WEAK)
+        turning, chop = replace(storm.current, turn=_TURN[speed_range]), replace(storm.waves, band=CHOP)
+        return {
+            "actuator-faults": {"faults": RandomFaults(_ACTUATOR_FAULTS)},
+            "sensor-faults": {"faults": RandomFaults(_SENSOR_FAULTS)},
+            "lag": {"actuators": replace(storm.actuators, lag=LAG)},
+            "weak": {"actuators": weak},
+            "period": {"control_dt": PERIOD, "steps": round(storm.duration / PERIOD)},
+            "turning": {"current": turning},
+            "chop": {"waves": chop},
+            "all-at-once": {
+                "faults": RandomFaults(FAULTS, rate=1.0),
+                "actuators": weak,
+                "current": turning,
+                "waves": chop,
+            },
+        }
+
+    return _storms(changes)
+
+
+WORLDS: Mapping[str, Callable[[], list[Scenario]]] = {"sealed-v2": second_worlds, "sealed-v3": third_worlds}
+"""Functions that return the scenarios of each sealed suite."""
+
+
+def _storms(changes: Callable[[Scenario, str], dict[str, dict[str, Any]]]) -> list[Scenario]:
+    """Return the storm of each speed range with each of its changes, named after them."""
+    return [
+        replace(storm, name=f"{speed_range}-{name}", **change)
+        for speed_range in SPEED_RANGES
+        for storm in [PRESETS[f"{speed_range}-storm"]]
+        for name, change in changes(storm, speed_range).items()
+    ]
 
 
 def _vehicles(storm: Scenario) -> RandomMismatch:

@@ -37,7 +37,7 @@ SAMPLE = {
     "ood-v1": "slow-current-x1.5",
     "unmodelled-v1": "slow-everything",
     "deep-v1": "cruise-deep",
-    "sealed-v1": "slow-far-start",
+    "sealed-v2": "slow-far-start",
     "vehicles-v2": "cruise-storm@otter",
 }
 CLOSEST = 1e-6

@@ -12,12 +12,13 @@ from auv_gym.installation import found
 from baselines import list_policies
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
-from baselines.evaluation.score import error_cap, has_failed
+from baselines.evaluation.score import error_cap, has_failed, lead
 from research import pages
 from research.estimation_bound.command import episode_errors, recorded_bounds
 from research.pages import SUITE_PAGES
 from research.results import collection, overview
-from research.results.collection import ROUNDING, TOLERANCE, Results, better_than, results_of
+from research.results.collection import ROUNDING, Results, better_than, results_of
+from research.results.learning import versus_expert
 from research.robustness.faults import FAULTS_FILE
 from research.transfer.comparison import TRANSFER_FILE
 
@@ -44,9 +45,11 @@ def test_every_policy_is_there(benchmark):
 
 
 def test_the_oracle_has_the_smallest_error(suites):
-    for entry in suites.values():
-        worst = max((gain for *_, gain in better_than("oracle", entry)), default=0.0)
-        assert worst < TOLERANCE[entry.suite.name]
+    """But for some mm where a current is nearly as fast as the path, and where actuators are slow."""
+    tolerances = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v2": 1e-2}
+    for name, tolerance in tolerances.items():
+        better = {case for case, _, gain in better_than("oracle", suites[name]) if gain > tolerance}
+        assert better <= {"slow-slew", "slow-all-at-once"}, name
 
 
 def test_no_policy_is_better_than_the_full_information_optimum(suites):
@@ -92,19 +95,13 @@ def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
 
 
 def test_the_limitations_of_the_readme_are_measured(suites):
-    """The agent fails only if the expert fails; errors on the REMUS 100 are as large in six degrees of freedom."""
-    episodes = 0
-    for results in suites.values():
-        runs = {(run.policy, run.scenario.name): run.measures for run in results.runs}
-        for (policy, scenario), own in runs.items():
-            if policy == AGENT:
-                failed, expert = (has_failed(m, error_cap(scenario)) for m in (own, runs["backstepping", scenario]))
-                assert len(failed) == len(expert)
-                assert not (failed & ~expert).any()
-                episodes += len(failed)
+    """Failures where the expert has none; errors on the REMUS 100 are as large in six degrees of freedom."""
+    added = {name: versus_expert(results, AGENT)[0] for name, results in suites.items()}
+    assert {name for name, count in added.items() if count} == {"sealed-v2"}
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert f"In the {episodes} frozen episodes of five suites `helm` fails only where the expert fails too" in readme
-    assert len(suites) == 5
+    expert, own = (_failed_in(suites["sealed-v2"], "cruise-slew", policy) for policy in ("backstepping", AGENT))
+    assert (own & ~expert).sum() == added["sealed-v2"]
+    assert f"from zero to the limit (`sealed-v2`: {added['sealed-v2']} of {len(own)} episodes)" in readme
     faults = json.loads(FAULTS_FILE.read_text(encoding="utf-8"))
     frozen = [faults[policy]["cruise-yaw-rate-frozen"] for policy in (AGENT, "backstepping")]
     assert frozen[0]["failed"] > frozen[1]["failed"]
@@ -114,6 +111,29 @@ def test_the_limitations_of_the_readme_are_measured(suites):
     agent, rival = (f"{errors[policy]['space_m']:.3g} m" for policy in ("helm-any", "ilos"))
     assert f"level with `ilos` in six degrees of freedom, and both errors are large: {agent} and {rival}" in readme
     assert {"helm-any", "ilos"} <= set(record["best"]["plane"]) & set(record["best"]["space"])
+
+
+def _failed_in(results, scenario, policy):
+    """Return for each episode of a case whether a policy failed."""
+    (run,) = (run for run in results.runs if (run.policy, run.scenario.name) == (policy, scenario))
+    return has_failed(run.measures, error_cap(scenario))
+
+
+def test_helm_any_in_the_suite_that_was_secret(suites):
+    """It is level with `nmpc` and behind `nmpc-adverse`, and fails with slow actuators."""
+    opened = suites["sealed-v2"]
+    for speed_range in ("slow", "cruise"):
+        errors = {
+            policy: {run.scenario.name: run.measures.steady_rmse for run in opened.runs_of(policy, speed_range)}
+            for policy in ("backstepping", "nmpc", "nmpc-adverse", "helm-any", "clairvoyant")
+        }
+        zero, level, ahead, own, one = (list(each.values()) for each in errors.values())
+        low, high = lead(zero, level, [cell[None] for cell in own], one).ci95
+        assert low < 0 < high
+        assert lead(zero, ahead, [cell[None] for cell in own], one).ci95[1] < 0
+    names = [cell.scenario.name for cell in opened.suite.cells]
+    others = [name for name in names if not name.endswith(("-slew", "-all-at-once"))]
+    assert sum(_failed_in(opened, name, "helm-any").sum() for name in others) == 1
 
 
 def test_numbers_of_the_table_by_hand(benchmark):
@@ -187,14 +207,17 @@ def test_a_stale_page_is_named_and_written(tmp_path, capsys):
 
 def test_the_sentences_of_the_summary_are_true():
     """The suites in which `helm` does not lead, and the errors of the table, which are above the lower bounds."""
-    unmodelled, opened, vehicles = (results_of(name) for name in ("unmodelled-v1", "sealed-v1", "vehicles-v2"))
+    unmodelled, opened, vehicles = (results_of(name) for name in ("unmodelled-v1", "sealed-v2", "vehicles-v2"))
 
     def mean(results, policy, speed_range):
         return np.concatenate([m.steady_rmse for m in results.measures(policy, speed_range)]).mean()
 
     for speed_range in ("slow", "cruise"):
         assert mean(unmodelled, "nmpc-adverse", speed_range) < mean(unmodelled, "helm", speed_range)
-    assert mean(opened, "nmpc", "slow") < mean(opened, "helm", "slow")
+    in_case = {(run.policy, run.scenario.name): run.measures.steady_rmse.mean() for run in opened.runs}
+    assert in_case["nmpc", "slow-outages"] < in_case["helm", "slow-outages"]
+    for speed_range in ("slow", "cruise"):
+        assert in_case["nmpc-adverse", f"{speed_range}-slew"] < in_case["helm", f"{speed_range}-slew"]
     failed = {p: sum(e.failed for e in vehicles.pooled if e.policy == p) for p in ("helm-any", "nmpc")}
     assert failed["helm-any"] > failed["nmpc"]
     values = overview.context()

@@ -5,10 +5,10 @@ from functools import partial
 import pytest
 
 from auv_gym.scenarios.mixtures import MIXTURES
-from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation import suites
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.command_line import DONE, UsageError
+from baselines.training.vehicle_models import DECADES
 from research.suites import builder, sealed
 from research.suites.command import main
 
@@ -25,38 +25,37 @@ def empty(monkeypatch, tmp_path):
 
 def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     monkeypatch.setattr(builder, "SEALED_EPISODES", 1)
-    assert main(["seal", "sealed-v1"]) == DONE
+    assert main(["seal", "sealed-v2"]) == DONE
     secret = capsys.readouterr().out.split()[-1]
-    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret), sealed.worlds_hash("sealed-v1"))
+    assert sealed.seals()["sealed-v2"] == sealed.Seal(sealed.sha256(secret), sealed.worlds_hash("sealed-v2"))
     assert secret not in (empty / "seals.json").read_text()
     with pytest.raises(SuiteError, match="is sealed"):
-        builder.build("sealed-v1")
-    assert main(["open", "sealed-v1", "--secret", secret + "?"]) != DONE
+        builder.build("sealed-v2")
+    assert main(["open", "sealed-v2", "--secret", secret + "?"]) != DONE
     assert "not the secret" in capsys.readouterr().err
-    assert main(["open", "sealed-v1", "--secret", secret]) == DONE
-    suite = suites.load_suite("sealed-v1", empty)
-    assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.sealed_worlds(**sealed.FIRST)]
-    monkeypatch.setitem(sealed.WORLDS, "sealed-v1", {**sealed.FIRST, "slew": 3.0})
-    with pytest.raises(SuiteError, match="the scenarios of sealed-v1 have changed"):
-        builder.build("sealed-v1")
-    monkeypatch.setitem(sealed.WORLDS, "sealed-v1", sealed.FIRST)
-    again = builder.build("sealed-v1")
+    assert main(["open", "sealed-v2", "--secret", secret]) == DONE
+    suite = suites.load_suite("sealed-v2", empty)
+    assert [cell.scenario for cell in suite.cells] == sealed.second_worlds()
+    again = builder.build("sealed-v2")
+    monkeypatch.setitem(sealed.WORLDS, "sealed-v2", sealed.third_worlds)
+    with pytest.raises(SuiteError, match="the scenarios of sealed-v2 have changed"):
+        builder.build("sealed-v2")
     assert all(a.episodes == b.episodes for a, b in zip(suite.cells, again, strict=True))
 
 
 def test_a_seal_is_not_replaced(empty):
-    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one"), ""))
+    sealed.write_seal("sealed-v2", sealed.Seal(sealed.sha256("one"), ""))
     with pytest.raises(SuiteError, match="sealed already"):
-        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two"), ""))
+        sealed.write_seal("sealed-v2", sealed.Seal(sealed.sha256("two"), ""))
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["seal", "ood-v1"], "not a sealed suite"),
-        (["open", "sealed-v1"], "needs --secret"),
+        (["open", "sealed-v2"], "needs --secret"),
         (["check", "ood-v1", "--secret", "x"], "no other action"),
-        (["open", "sealed-v1", "--secret", "x"], "has no seal"),
+        (["open", "sealed-v2", "--secret", "x"], "has no seal"),
         (["seal"], "name the suite"),
     ],
 )
@@ -67,7 +66,7 @@ def test_wrong_usage(empty, words, message):
 
 def test_without_a_seal_there_is_no_seed(empty):
     with pytest.raises(SuiteError, match="has no seal"):
-        builder.build("sealed-v1")
+        builder.build("sealed-v2")
 
 
 def test_secrets_have_different_seeds():
@@ -80,23 +79,24 @@ def slew_time(scenario):
     return scenario.actuators.F_u_max / scenario.actuators.F_u_rate
 
 
-def test_the_first_suite_has_the_scenarios_of_its_opening():
-    known, now = ([s for s, _ in sealed.sealed_worlds(**changes)] for changes in (sealed.FIRST, {}))
-    assert [cell.scenario for cell in suites.load_suite("sealed-v1").cells] == known
-    slewing = {f"{speed_range}-{name}" for speed_range in SPEED_RANGES for name in ("slew", "all-at-once")}
-    assert {s.name for s in known if s not in now} == {"cruise-beyond", *slewing}
+def test_the_open_suite_has_the_scenarios_of_its_seal():
+    assert [cell.scenario for cell in suites.load_suite("sealed-v2").cells] == sealed.second_worlds()
 
 
-def test_every_scenario_is_outside_the_training_distributions():
-    """By its speed, duration, slew time, outages, start or vehicle.
+@pytest.mark.parametrize("worlds", [sealed.second_worlds, sealed.third_worlds])
+def test_every_scenario_is_outside_the_training_distributions(worlds):
+    """In at least one property, such as its speed or its faults.
 
-    `helm-any` alone was trained on long outages and far starts, see docs/suites.md.
+    `helm-any` alone was trained on long outages and far starts, see docs/suites.md. The lag of its drawn vehicles is
+    less than a second, too.
     """
     trained = [s for name, mixture in MIXTURES.items() if not name.endswith("-outages") for s, _ in mixture]
     speeds = [s.path.speed for s in trained]
     assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.MASS_SHARES[0] for s in trained)
-    for scenario, _ in sealed.sealed_worlds():
+    assert DECADES["lag"][1] < sealed.LAG[0]
+    for scenario in worlds():
         low, high = scenario.path.speed
+        act = scenario.actuators
         other = {
             "speed": all(high <= a or b <= low for a, b in speeds),
             "duration": all(scenario.duration > s.duration for s in trained),
@@ -105,5 +105,16 @@ def test_every_scenario_is_outside_the_training_distributions():
             and all(scenario.sensors.outage_time[0] >= s.sensors.outage_time[1] for s in trained if s.sensors.outages),
             "start": all(scenario.start.x_e[1] > s.start.x_e[1] for s in trained),
             "vehicle": scenario.mismatch.mass == sealed.MASS_SHARES,
+            "faults": scenario.faults is not None and all(s.faults is None for s in trained),
+            "lag": all(ends(act.lag)[0] > ends(s.actuators.lag)[1] for s in trained),
+            "weak": all(ends(act.effectiveness)[1] < ends(s.actuators.effectiveness)[0] for s in trained),
+            "period": all(scenario.control_dt < s.control_dt for s in trained),
+            "turning": scenario.current.turn != 0.0 and all(not s.current or s.current.turn == 0.0 for s in trained),
+            "waves": all(not s.waves or scenario.waves.band[0] > s.waves.band[1] for s in trained),
         }
         assert any(other.values()), scenario.name
+
+
+def ends(interval):
+    """Return the ends of an interval, which may be a number."""
+    return interval if isinstance(interval, tuple) else (interval, interval)

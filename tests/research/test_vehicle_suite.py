@@ -239,10 +239,8 @@ def test_no_recorded_policy_is_better_than_the_optimum(suite):
     assert found.refused == {}
     if {"backstepping", "clairvoyant"} <= {run.policy for run in found.runs}:
         results = Results.of(suite, found.runs)
-        worst = ("slow-gauss-markov@cybership2", 3)  # a local optimum, which the page names
-        assert {name for name, _, gain in better_than("clairvoyant", results) if gain > 1e-4} == {worst[0]}
-        better = {entry[:2] for entry in vehicles.better_than_optimum(results) if entry[-1] > 5e-3}
-        assert better == {worst}
+        assert [gain for *_, gain in better_than("clairvoyant", results) if gain > 1e-4] == []
+        assert [gain for *_, gain in vehicles.better_than_optimum(results) if gain > 5e-3] == []
 
 
 def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):

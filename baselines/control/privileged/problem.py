@@ -5,10 +5,10 @@ The commands a_1 ... a_K of the K control periods minimise
     sum_k w_k |p_k - p_R,k|^2 + `EFFORT_WEIGHT` sum_k |a_k|^2        (1)
 
 with the simulated position p and the position p_R of the reference. The commands are bounded by the limits at which the
-actuators saturate. After the first third of the episode the weights w_k add up to one; there the root mean square of
-the error is the steady-state error of the score. In the first third the weights are small but positive, so that the
-solution is unique. Positions are in the paper's units (`auv_gym.physics.units`): the same weights and tolerances apply
-to vehicles of all sizes.
+actuators saturate, and by those that their rate limits allow. After the first third of the episode the weights w_k add
+up to one; there the root mean square of the error is the steady-state error of the score. In the first third the
+weights are small but positive, so that the solution is unique. Positions are in the paper's units
+(`auv_gym.physics.units`): the same weights and tolerances apply to vehicles of all sizes.
 """
 
 from __future__ import annotations
@@ -35,10 +35,13 @@ from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
 PLANT_STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
+FORCES = 6  # index of F_u
 COMMAND_ROWS = 2  # a_u, a_r: commands as fractions of the command of action 1
 TRIANGLE = PLANT_STATES * (PLANT_STATES + 1) // 2  # entries of a symmetric matrix of that size
 TRANSIENT_WEIGHT = 1e-3
 """Sum of the weights of the errors in the first third."""
+INSIDE = 1.0 - 1e-9
+"""Largest change of a force as a share of its rate limit: so the change depends on the command."""
 EFFORT_WEIGHT = 1e-9
 """Weight [m^2 of the paper's vehicle] of the commands: it makes the solution unique."""
 STEADY_RMSE = 3
@@ -187,6 +190,36 @@ def _next_state(state: Sequence[Any], command: Sequence[Any], sample: Any, param
     return [*body, *force]
 
 
+class _Range(NamedTuple):
+    """The commands of an actuator with different effects: beyond them its limit or its rate limit acts."""
+
+    low: Any
+    high: Any
+    per_force: Any  # command that asks for one unit of force
+
+    @classmethod
+    def of(cls, force: Any, thrust: Any, slew: Any, gain: Any, limit: Any) -> _Range:
+        """Return the range of an actuator with a force [N], see `Parameters` and `Response`."""
+        change = INSIDE * slew / (gain * thrust)
+        low, high = (SYMBOLS.clip(force / thrust + side, -limit, limit) for side in (-change, change))
+        return cls(low, high, 1.0 / thrust)
+
+    def slope(self, command: Any, limit: Any) -> Any:
+        """Return the derivative of a command with respect to the force: not zero at a bound of the rate."""
+        at_low, at_high = (command <= self.low) & (self.low > -limit), (command >= self.high) & (self.high < limit)
+        return SYMBOLS.where(at_low | at_high, self.per_force, 0.0)
+
+
+def _ranges(state: Sequence[Any], limits: Sequence[Any], p: Parameters) -> list[_Range]:
+    """Return the range of the command of each actuator.
+
+    Commands beyond it have the same effect as its ends, so a gradient method could not leave them.
+    """
+    thrusts, slews = (p.thrust_u, p.thrust_r), (p.response.slew_u, p.response.slew_r)
+    own = zip(state[FORCES:], thrusts, slews, limits, strict=True)
+    return [_Range.of(force, thrust, slew, p.response.gain, limit) for force, thrust, slew, limit in own]
+
+
 def _position_error(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:
     """Return the position error [m] at the end of a period."""
     reference = Sample(*sample)
@@ -201,9 +234,9 @@ def simulation_kernel(parts: Parts) -> Kernel:
         state: Any, cost: Any, command: Any, planned: Any, gains: Any, limits: Any, weight: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
         deviation, a = [x - c for x, c in zip(state, planned, strict=True)], []
-        for i in range(COMMAND_ROWS):
+        for i, own in enumerate(_ranges(state, limits, Parameters.of(known["parameters"], parts))):
             unlimited = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], deviation)
-            a.append(SYMBOLS.clip(unlimited, -limits[i], limits[i]))
+            a.append(SYMBOLS.clip(unlimited, own.low, own.high))
         after = _next_state(state, a, known["sample"], known["parameters"], parts)
         x_e, y_e = _position_error(after, known["sample"])
         error = x_e * x_e + y_e * y_e
@@ -232,13 +265,23 @@ def riccati_kernel(parts: Parts) -> Kernel:
         both, w = [*state, *command], 2 * weight[0]
         after = _next_state(state, command, known["sample"], known["parameters"], parts)
         columns = list(zip(*jacobian(after, both), strict=True))
+        ranges = _ranges(state, limits, Parameters.of(known["parameters"], parts))
+        slopes = [own.slope(a, limit) for own, a, limit in zip(ranges, command, limits, strict=True)]
+        for i, follows in enumerate(slopes):  # the free commands are the differences to bounds that move
+            by_force, by_command = columns[FORCES + i], columns[PLANT_STATES + i]
+            columns[FORCES + i] = tuple(x + follows * y for x, y in zip(by_force, by_command, strict=True))
         V_x, V_xx = list(slope), [list(row) for row in symmetric(curvature)]
         for i, error in enumerate(_position_error(after, known["sample"])):
             V_x[i], V_xx[i][i] = V_x[i] + w * error, V_xx[i][i] + w
         Q_1, Q_2 = [dot(column, V_x) for column in columns], [list(row) for row in congruence(columns, V_xx)]
         for i, a in enumerate(command, PLANT_STATES):
             Q_1[i], Q_2[i][i] = Q_1[i] + 2 * EFFORT_WEIGHT * a, Q_2[i][i] + 2 * EFFORT_WEIGHT + damping[0]
-        slope, earlier, k, K, _ = feedback_law(Q_1, Q_2, command, limits)
+        from_middle = [a - 0.5 * (own.low + own.high) for own, a in zip(ranges, command, strict=True)]
+        half = [0.5 * (own.high - own.low) for own in ranges]
+        slope, earlier, k, law, _ = feedback_law(Q_1, Q_2, from_middle, half)
+        K = [list(row) for row in law]
+        for i, follows in enumerate(slopes):
+            K[i][FORCES + i] += follows
         return {"slope": slope, "curvature": triangle(earlier), "step": k, "feedback": [x for row in K for x in row]}
 
     rows = {

@@ -105,7 +105,7 @@ class Window(NamedTuple):
     kept: int  # control periods, the first ones, whose commands are applied
 
 
-WINDOWS = Window(80, 40), Window(160, 40)
+WINDOWS = Window(80, 40), Window(160, 40), Window(80, 10)
 """Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
 
 
