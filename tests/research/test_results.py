@@ -45,11 +45,11 @@ def test_every_policy_is_there(benchmark):
 
 
 def test_the_oracle_has_the_smallest_error(suites):
-    """But for some mm where a current is nearly as fast as the path, and where actuators are slow."""
+    """But for some mm where a current is nearly as fast as the path, and for slow actuators and high speeds."""
     tolerances = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v2": 1e-2}
     for name, tolerance in tolerances.items():
         better = {case for case, _, gain in better_than("oracle", suites[name]) if gain > tolerance}
-        assert better <= {"slow-slew", "slow-all-at-once"}, name
+        assert better == ({"slow-slew", "slow-all-at-once", "cruise-beyond"} if name == "sealed-v2" else set()), name
 
 
 def test_no_policy_is_better_than_the_full_information_optimum(suites):
@@ -105,7 +105,7 @@ def test_the_limitations_of_the_readme_are_measured(suites):
     faults = json.loads(FAULTS_FILE.read_text(encoding="utf-8"))
     frozen = [faults[policy]["cruise-yaw-rate-frozen"] for policy in (AGENT, "backstepping")]
     assert frozen[0]["failed"] > frozen[1]["failed"]
-    assert f"{frozen[0]['failed']} of {frozen[0]['episodes']} episodes, the expert {frozen[1]['failed']}." in readme
+    assert f"{frozen[0]['failed']} of {frozen[0]['episodes']} episodes, the expert {frozen[1]['failed']})" in readme
     record = json.loads(TRANSFER_FILE.read_text(encoding="utf-8"))["remus100"]
     errors = record["policies"]
     agent, rival = (f"{errors[policy]['space_m']:.3g} m" for policy in ("helm-any", "ilos"))
