@@ -131,11 +131,11 @@ def _unmodelled() -> list[Recipe]:
     return recipes
 
 
-def _sealed(worlds: Callable[[], list[Scenario]]) -> list[Recipe]:
+def _sealed(name: str) -> list[Recipe]:
     """Return the recipes of a sealed suite: missions follow waypoints, the others rotate through the families."""
     return [
         Recipe(s, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if sealed.is_mission(s) else Recipe.path)
-        for s in worlds()
+        for s in sealed.sealed_worlds(name)
     ]
 
 
@@ -256,7 +256,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "vehicles-v2": (1_000_007, _vehicles),
     "faults-v1": (1_000_008, _faults),
     "governed-v1": (1_000_009, _governed),
-    **{name: (None, partial(_sealed, worlds)) for name, worlds in sealed.WORLDS.items()},
+    **{name: (None, partial(_sealed, name)) for name in sealed.CHANGES},
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
 selects agents on the validation split, never on a test."""

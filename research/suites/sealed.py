@@ -19,11 +19,13 @@ from typing import Any
 
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.faults import FAULTS, RandomFaults
+from auv_gym.scenarios.mixtures import slewing
 from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.files import json_text, read_json, write_atomically
 
+Changes = dict[str, dict[str, Any]]  # fields of a scenario that differ from the storm, by the name of the change
 SEALS = Path(__file__).parent / "seals.json"
 """File with the SHA-256 of each secret, and with the secrets of opened suites."""
 
@@ -38,9 +40,9 @@ MASS_SHARES = (0.7, 1.3)  # masses of a vehicle as shares of the known ones
 DRAG = (0.6, 1.4)  # drag of a vehicle as shares of the known one
 
 LAG = (1.5, 2.5)  # [s] time constants of the actuators
-WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
-PERIOD = 0.05  # [s] control period
-CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
+_WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
+_PERIOD = 0.05  # [s] control period
+_CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
 _TURN = {"slow": (-0.04, 0.04), "cruise": (-0.1, 0.1)}  # [rad/s] turn rate of a turning current
 _ACTUATOR_FAULTS = tuple(kind for kind in FAULTS if kind.endswith(("stuck", "dead", "one way")))
 _SENSOR_FAULTS = tuple(kind for kind in FAULTS if kind not in _ACTUATOR_FAULTS)
@@ -119,7 +121,7 @@ def seed(name: str) -> int:
 
 def worlds_hash(name: str) -> str:
     """Return the SHA-256 of the scenarios of a sealed suite."""
-    return sha256(json.dumps([[s.to_dict(), is_mission(s)] for s in WORLDS[name]()], sort_keys=True))
+    return sha256(json.dumps([[s.to_dict(), is_mission(s)] for s in sealed_worlds(name)], sort_keys=True))
 
 
 def is_mission(scenario: Scenario) -> bool:
@@ -127,84 +129,76 @@ def is_mission(scenario: Scenario) -> bool:
     return scenario.name.endswith("-mission")
 
 
-def second_worlds() -> list[Scenario]:
-    """Return the scenarios of `sealed-v2`: storms outside the training of `helm`.
+def sealed_worlds(name: str) -> list[Scenario]:
+    """Return the scenarios of a sealed suite: the storm of each speed range with each of its changes."""
+    found = []
+    for speed_range in SPEED_RANGES:
+        storm = PRESETS[f"{speed_range}-storm"]
+        changes = CHANGES[name](storm, speed_range)
+        found += [replace(storm, name=f"{speed_range}-{key}", **change) for key, change in changes.items()]
+    return found
+
+
+def _second(storm: Scenario, speed_range: str) -> Changes:
+    """Return changes outside the training of `helm`.
 
     They have speeds between and beyond the speed ranges, missions of five minutes, slewing actuators, long outages of
     the position fix, far starts, other vehicles, and a combination of these. The training of `helm-any` has long
     outages and far starts.
     """
-
-    def changes(storm: Scenario, speed_range: str) -> dict[str, dict[str, Any]]:
-        assert isinstance(storm.path, RandomPath)
-        act = storm.actuators
-        slewing = replace(act, F_u_rate=act.F_u_max / _SLEW, F_r_rate=act.F_r_max / _SLEW)
-        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
-        far = Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
-        vehicles = _vehicles(storm)
-        return {
-            "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
-            "beyond": {"path": replace(storm.path, speed=BEYOND[speed_range])},
-            "mission": {"steps": round(_MISSION / storm.control_dt)},
-            "slew": {"actuators": slewing},
-            "outages": {"sensors": patchy},
-            "far-start": {"start": far},
-            "hulls": {"mismatch": vehicles},
-            "all-at-once": {
-                "path": replace(storm.path, speed=BETWEEN[speed_range]),
-                "actuators": replace(slewing, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
-                "sensors": replace(patchy, outages=1.0, heading_bias=(-0.04, 0.04)),
-                "mismatch": vehicles,
-                "current": _sheared(storm, speed_range),
-            },
-        }
-
-    return _storms(changes)
+    assert isinstance(storm.path, RandomPath)
+    slow = slewing(storm, _SLEW).actuators
+    patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
+    vehicles = _vehicles(storm)
+    return {
+        "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
+        "beyond": {"path": replace(storm.path, speed=BEYOND[speed_range])},
+        "mission": {"steps": round(_MISSION / storm.control_dt)},
+        "slew": {"actuators": slow},
+        "outages": {"sensors": patchy},
+        "far-start": {
+            "start": Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
+        },
+        "hulls": {"mismatch": vehicles},
+        "all-at-once": {
+            "path": replace(storm.path, speed=BETWEEN[speed_range]),
+            "actuators": replace(slow, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
+            "sensors": replace(patchy, outages=1.0, heading_bias=(-0.04, 0.04)),
+            "mismatch": vehicles,
+            "current": _sheared(storm, speed_range),
+        },
+    }
 
 
-def third_worlds() -> list[Scenario]:
-    """Return the scenarios of `sealed-v3`: storms with changes that the training of no agent has.
+def _third(storm: Scenario, speed_range: str) -> Changes:
+    """Return changes that the training of no agent has.
 
     They have faults of actuators or of measurements, actuators with a lag of about two seconds or with half the force,
     half the control period, a turning current, short waves, and a combination of these.
     """
-
-    def changes(storm: Scenario, speed_range: str) -> dict[str, dict[str, Any]]:
-        assert isinstance(storm.current, RandomCurrent)
-        assert isinstance(storm.waves, RandomWaves)
-        weak = replace(storm.actuators, effectiveness=WEAK)
-        turning, chop = replace(storm.current, turn=_TURN[speed_range]), replace(storm.waves, band=CHOP)
-        return {
-            "actuator-faults": {"faults": RandomFaults(_ACTUATOR_FAULTS)},
-            "sensor-faults": {"faults": RandomFaults(_SENSOR_FAULTS)},
-            "lag": {"actuators": replace(storm.actuators, lag=LAG)},
-            "weak": {"actuators": weak},
-            "period": {"control_dt": PERIOD, "steps": round(storm.duration / PERIOD)},
-            "turning": {"current": turning},
-            "chop": {"waves": chop},
-            "all-at-once": {
-                "faults": RandomFaults(FAULTS, rate=1.0),
-                "actuators": weak,
-                "current": turning,
-                "waves": chop,
-            },
-        }
-
-    return _storms(changes)
+    assert isinstance(storm.current, RandomCurrent)
+    assert isinstance(storm.waves, RandomWaves)
+    weak = replace(storm.actuators, effectiveness=_WEAK)
+    turning, chop = replace(storm.current, turn=_TURN[speed_range]), replace(storm.waves, band=_CHOP)
+    return {
+        "actuator-faults": {"faults": RandomFaults(_ACTUATOR_FAULTS)},
+        "sensor-faults": {"faults": RandomFaults(_SENSOR_FAULTS)},
+        "lag": {"actuators": replace(storm.actuators, lag=LAG)},
+        "weak": {"actuators": weak},
+        "period": {"control_dt": _PERIOD, "steps": round(storm.duration / _PERIOD)},
+        "turning": {"current": turning},
+        "chop": {"waves": chop},
+        "all-at-once": {
+            "faults": RandomFaults(FAULTS, rate=1.0),
+            "actuators": weak,
+            "current": turning,
+            "waves": chop,
+        },
+    }
 
 
-WORLDS: Mapping[str, Callable[[], list[Scenario]]] = {"sealed-v2": second_worlds, "sealed-v3": third_worlds}
-"""Functions that return the scenarios of each sealed suite."""
-
-
-def _storms(changes: Callable[[Scenario, str], dict[str, dict[str, Any]]]) -> list[Scenario]:
-    """Return the storm of each speed range with each of its changes, named after them."""
-    return [
-        replace(storm, name=f"{speed_range}-{name}", **change)
-        for speed_range in SPEED_RANGES
-        for storm in [PRESETS[f"{speed_range}-storm"]]
-        for name, change in changes(storm, speed_range).items()
-    ]
+CHANGES: Mapping[str, Callable[[Scenario, str], Changes]] = {"sealed-v2": _second, "sealed-v3": _third}
+"""Functions that return the changes of a storm in a speed range, by sealed suite."""
 
 
 def _vehicles(storm: Scenario) -> RandomMismatch:
