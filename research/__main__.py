@@ -10,7 +10,6 @@ COMMANDS = {
     "deployment": Command("research.deployment.measure", "export"),
     "estimation-bound": Command("research.estimation_bound.command", "eval"),
     "failure-rate": Command("research.robustness.failure_rate", "eval"),
-    "falsification": Command("research.robustness.falsification", "tuning"),
     "faults": Command("research.robustness.faults", "eval"),
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from baselines.tools.seeds import Seeds
 
-GUARD = Seeds(40_000_000, 45_000_000)
-"""Choice of the thresholds of the guard."""
 FAILURE_RATE = Seeds(45_000_000, 55_000_000)
 """Failure rates."""
-FALSIFICATION = Seeds(55_000_000, 60_000_000)
-"""Search for disturbances that make a policy fail."""
 HELD_OUT = Seeds(70_000_000, 80_000_000)
 """Held-out comparison of policies; nothing is chosen on these episodes."""
 SENSITIVITY = Seeds(80_000_000, 90_000_000)
@@ -19,5 +15,5 @@ TRANSFER = Seeds(120_000_000, 130_000_000)
 FINE_TUNING = Seeds(140_000_000, 150_000_000)
 """Comparison of agents that were tuned to a vehicle; their hyper-parameters were chosen on the ten million before."""
 
-TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, TRANSFER, FINE_TUNING)
+TABLE = (FAILURE_RATE, HELD_OUT, SENSITIVITY, TRANSFER, FINE_TUNING)
 """All ranges, in ascending order, without overlap."""

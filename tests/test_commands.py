@@ -53,7 +53,6 @@ ELSEWHERE = {
     r"python -m research faults .*": "test_faults.py::test_a_quick_form_of_the_command",
     r"python -m research governed .*": "test_governed.py::test_a_quick_form_of_the_command",
     r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_later_runs_continue",
-    r"python -m research falsification .*": "test_safety.py::test_search_writes_a_scenario_in_which_the_policy_fails",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
     r"python -m research suites record .* --held-out .*": "test_held_out.py::test_the_command_keeps_rows",
@@ -295,7 +294,6 @@ def folder(tmp_path_factory):
     trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
     for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
-    shutil.copytree(ROOT / "docs" / "failing-scenarios", folder / "docs" / "failing-scenarios")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
     for name in ("model.zip", "runs/ppo/model.zip"):

@@ -65,7 +65,7 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
-"""Default of guards; `python -m research guard-thresholds` compares it with others."""
+"""Default of guards, chosen on episodes that no suite has."""
 MOST_GROWTH = 6.0  # number of alarms after which the hold time stays constant
 HORIZON = 1.0  # [s] bound of the fallback's position error as a travel time of the reference
 AT_LIMIT = 0.999  # magnitude from which a command counts as at its limit

@@ -1,1 +1,1 @@
-"""Robustness of policies: failure rates, falsification, guards, and sensitivity to model error."""
+"""Robustness of policies: failure rates, faults, guards, and sensitivity to model error."""

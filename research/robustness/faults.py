@@ -20,17 +20,17 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
-from baselines.tools.files import read_json
+from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 from research import DATA
 from research.pages import table
-from research.robustness.guards import FINGERPRINT, add_rows
 
 PROGRAM = "python -m research faults"
 SUITE = "faults-v1"
 FAULTS_FILE = DATA / "faults.json"  # record of the results
 POLICIES = ("backstepping", "nmpc", "nmpc-adverse", "helm", "helm-any", f"helm-any{GUARD}=nmpc-adverse")
 """The policies of the page, without and with the check."""
+FINGERPRINT = "fingerprint"  # key next to the cells of a policy in the record
 _MENDED = ("heading-frozen", "velocity-frozen", "yaw-rate-frozen", "velocity-missing")
 """The faults of which the page says how many failures are left."""
 
@@ -76,6 +76,15 @@ def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options
     for policy in checked_policies(policies):
         runs = run_and_show([(policy, cell) for cell in own], Workers(options.jobs))
         add_rows(options.out, policy, fingerprint(policy), {run.scenario.name: _row(run) for run in runs})
+
+
+def add_rows(file: Path, policy: str, digest: str, rows: Mapping[str, Any]) -> None:
+    """Add rows of a policy to a file and delete its rows with another fingerprint than `digest`."""
+    record = read_json(file) if file.exists() else {}
+    own = record.get(policy, {})
+    rest = own if own.get(FINGERPRINT) == digest else {}
+    record[policy] = {**rest, FINGERPRINT: digest, **rows}
+    write_atomically(file, json_text(record))
 
 
 def _row(run: Any) -> dict[str, float]:

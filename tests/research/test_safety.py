@@ -1,4 +1,4 @@
-"""Failure rates, guards and falsification: intervals against simulations, alarms by hand, recorded results."""
+"""Failure rates and guards: intervals against simulations, alarms by hand, recorded results."""
 
 import itertools
 import json
@@ -9,10 +9,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from auv_gym import PRESETS, Scenario
+from auv_gym import PRESETS
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.observation import Observation, encode_observation
 from baselines import make_policy
 from baselines.agents import guard
@@ -26,10 +25,10 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import count_failures
 from baselines.tools.command_line import run
 from baselines.tools.files import read_json
-from research.robustness import failure_rate, falsification, guards, search_space
-from research.seeds import FAILURE_RATE, FALSIFICATION
+from research.robustness import failure_rate, guards
+from research.seeds import FAILURE_RATE
 
-ROOT = Path(__file__).parents[2]
+SEALED = {cell.scenario.name for cell in suites.load_suite("sealed-v2").cells}
 
 
 def observed(**terms):
@@ -91,9 +90,8 @@ def test_failures_are_counted_and_later_runs_continue(tmp_path, monkeypatch, cap
         (failure_rate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
         (failure_rate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
         (failure_rate, ["helmet"], "unknown policy 'helmet'"),
-        (falsification, ["helm", "--speed-range", "fast"], "unknown speed range 'fast'; allowed are slow, cruise"),
-        (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
-        (guards, ["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v1"),
+        (guards, ["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
+        (guards, ["--policy", "helmet"], "unknown policy 'helmet'"),
     ],
 )
 def test_wrong_usage_is_one_line(command, arguments, says, tmp_path, monkeypatch, capsys):
@@ -238,110 +236,6 @@ def test_after_the_handover_the_commands_are_those_of_the_fallback_bit_for_bit()
     assert taken > 40
 
 
-@pytest.mark.slow
-def test_the_command_counts_failures_with_and_without_a_guard(tmp_path):
-    """Two episodes of each cell: without a guard from the recorded rows, with one from rollouts."""
-    suite = suites.load_suite("unmodelled-v1")
-    cells = suite.cells_in(("cruise",))
-    names = [cell.scenario.name for cell in cells]
-    out, policy = tmp_path / "guards.json", "apg-preview-cruise"
-    words = ["--policy", policy, "--suite", "unmodelled-v1", "--episodes", "2", "--out", str(out)]
-    assert run(guards.main, guards.PROGRAM, words) == 0
-    row = read_json(out)[policy]["unmodelled-v1"]
-    assert tuple(row) == (*guards.COUNTS, *guards.STEADY_RMSES)
-    rows = {
-        p: {r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (policy, "backstepping")
-    }
-    plain, expert = ({name: own[name][:2] for name in names} for own in (rows[policy], rows["backstepping"]))
-    guarded = {
-        cell.scenario.name: rollout(make_policy(f"{policy}:guard"), cell.scenario, cell.episodes[:2]).measures
-        for cell in cells
-    }
-    failed, with_guard, kept = (
-        np.concatenate([own[name].failed | (own[name].steady_rmse >= 2.0) for name in names])
-        for own in (plain, guarded, expert)
-    )
-    assert row["episodes"] == 2 * len(cells)
-    assert (row["failed"], row["expert_keeps"]) == (failed.sum(), (failed & ~kept).sum())
-    assert (row["guarded_failed"], row["guarded_expert_keeps"]) == (with_guard.sum(), (with_guard & ~kept).sum())
-    for key, own in (("steady_rmse_mm", plain), ("guarded_steady_rmse_mm", guarded)):
-        capped = np.concatenate([np.where(own[n].failed, 2.0, own[n].steady_rmse.clip(max=2.0)) for n in names])
-        assert row[key] == pytest.approx(1e3 * capped.mean(), rel=1e-4)
-
-
-# --- falsification ---
-
-
-@pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_points_of_severity_1_are_in_the_ranges_of_the_storm(speed_range):
-    storm = PRESETS[f"{speed_range}-storm"]
-    size, rng = len(search_space.coordinate_names(speed_range)), np.random.default_rng(0)
-    for towards in (np.ones(size), -np.ones(size), rng.uniform(-1, 1, size)):
-        scenario = search_space.scenario_at(speed_range, "x", 1.0, towards)
-        pairs = [(getattr(scenario.mismatch, n), getattr(storm.mismatch, n)) for n in ("mass", "d22", "quadratic")]
-        pairs += [(scenario.path.speed, storm.path.speed), (scenario.start.x_e, storm.start.x_e)]
-        for value, (low, high) in pairs:
-            assert low - 1e-9 <= value <= high + 1e-9
-        assert scenario.current.speed <= storm.current.speed[1] + 1e-9
-        assert scenario.waves.sway <= storm.waves.sway + 1e-9
-        assert scenario.sensors.position <= storm.sensors.position + 1e-9
-    size = len(search_space.coordinate_names(speed_range))
-    calm = search_space.scenario_at(speed_range, "x", 0.0, np.ones(size))
-    assert (calm.current.speed, calm.waves.yaw, calm.mismatch.mass, calm.actuators.lag) == (0, 0, 1, 0)
-
-
-def test_coordinates_are_in_units_of_the_ranges():
-    names = search_space.coordinate_names("cruise")
-    towards = np.zeros(len(names))
-    towards[[names.index("mass"), names.index("lag"), names.index("direction")]] = -1.0, -0.5, 0.5
-    scenario = search_space.scenario_at("cruise", "x", 2.0, towards)
-    assert scenario.mismatch.mass == pytest.approx(1 - 2 * 0.2)
-    assert scenario.actuators.lag == pytest.approx(2 * 0.5 * 0.36)
-    assert scenario.current.direction == pytest.approx(math.pi / 2)
-
-
-def test_crossing_is_interpolated_between_success_and_failure():
-    assert falsification.crossing((1.0, 2.0, 3.0), (-1.0, 1.0, 2.0)) == pytest.approx(1.5)
-    assert falsification.crossing((1.0, 2.0), (0.5, 1.0)) <= 1.0
-    assert falsification.crossing((1.0, 2.0), (math.nan, math.nan)) > 2.0
-    assert falsification.crossing((1.0, 2.0), (-3.0, -2.0)) > falsification.crossing((1.0, 2.0), (-3.0, -1.0)) > 2.0
-    assert falsification.crossing((1.0, 2.0, 3.0), (-1.0, math.nan, 1.0)) == pytest.approx(2.0)
-
-
-def test_search_writes_a_scenario_in_which_the_policy_fails(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(falsification, "_POPULATION", 4)
-    monkeypatch.setattr(falsification, "_FIRST", (0.01, 0.1, 1.0, 3.0))
-    monkeypatch.setattr(falsification, "CONFIRMED", 4)
-    given = ["backstepping", "--speed-range", "cruise", "--generations", "1", "--out", "failing"]
-    assert run(falsification.main, falsification.PROGRAM, given) == 0
-    assert "severity" in capsys.readouterr().out
-    (entry,) = falsification.found_points(Path("failing/falsification.json")).values()
-    scenario = Scenario.load("failing/cruise-storm-fails-backstepping.toml")
-    again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
-    assert count_failures(again, 2.0) == entry["failed"] >= 2
-    assert max(abs(x) for name, x in entry["coordinates"].items() if name != "direction") == pytest.approx(
-        entry["severity"]
-    )
-
-
-FOUND = falsification.found_points()
-
-
-@pytest.mark.parametrize("name", FOUND)
-def test_policies_fail_in_the_recorded_scenarios(name):
-    entry = FOUND[name]
-    assert entry["fingerprint"] == fingerprint(entry["policy"]), f"run {falsification.PROGRAM} {entry['policy']} again"
-    if entry["severity"] is None:
-        pytest.fail("a search without a result must not be kept")
-    scenario = Scenario.load(falsification.SCENARIO_FOLDER / f"{name}.toml")
-    seed = FALSIFICATION.end - falsification.CONFIRMED
-    if entry["policy"] != "nmpc":  # slow
-        measures = rollout(make_policy(entry["policy"]), scenario, drawn(scenario, 8, seed).episodes).measures
-        cap = 2.0 if scenario.name.startswith("cruise") else 0.6
-        assert count_failures(measures, cap) >= 2  # of 8; half of 64 fail
-
-
 def test_the_reference_policy_does_not_fail():
     """As docs/metrics.md says."""
     failed, episodes, _ = failure_rate.total(failure_rate.failure_counts()["clairvoyant"]["counts"].values())
@@ -352,4 +246,14 @@ def test_recorded_rows_belong_to_the_present_policies():
     for policy, own in failure_rate.failure_counts().items():
         assert own["fingerprint"] == fingerprint(policy), f"run {failure_rate.PROGRAM} {policy} again"
     for policy, rows in read_json(guards.GUARDS_FILE).items():
-        assert rows["fingerprint"] == fingerprint(f"{policy}:guard"), f"run {guards.PROGRAM} --policy {policy} again"
+        assert rows["fingerprint"] == fingerprint(policy), f"run {guards.PROGRAM} again"
+
+
+def test_a_guard_helps_an_agent_that_was_not_trained_on_rate_limits_and_not_helm():
+    """As docs/safety.md says, in sealed-v2."""
+    failed = {
+        policy: sum(row["failed"] for name, row in rows.items() if name in SEALED)
+        for policy, rows in read_json(guards.GUARDS_FILE).items()
+    }
+    assert failed["apg-preview-cruise"] > failed["apg-preview-cruise:guard"]
+    assert failed["helm"] < failed["helm:guard"]
