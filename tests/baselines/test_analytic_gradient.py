@@ -25,6 +25,7 @@ from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import LINEAR_FROM, SQUARE_WEIGHT, ClosedLoop, Loss, law_of
 from baselines.training.apg.groups import Groups, WindowGradient
+from baselines.training.apg.muon import Muon, orthogonalised
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
@@ -305,6 +306,22 @@ def test_best_agent_is_returned(trained):
     best = max(row["score"] for row in rows(run) if "score" in row)
     assert run.validation.run(agent.policy(precision=VALIDATION_PRECISION)).score == best
     assert run.validation.run(agent.policy()).score == pytest.approx(best, abs=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(12, 30), (30, 12), (16, 16)])
+def test_muon_is_that_of_torch_in_single_precision(shape):
+    """The reference computes in bfloat16, which has three digits."""
+    rng = torch.Generator().manual_seed(0)
+    own, theirs = (torch.nn.Parameter(torch.zeros(shape)) for _ in range(2))
+    ours, reference = Muon([own], 0.1, 0.2), torch.optim.Muon([theirs], lr=0.1, weight_decay=0.2)
+    for _ in range(5):
+        own.grad = theirs.grad = torch.randn(shape, generator=rng)
+        ours.step()
+        reference.step()
+    torch.testing.assert_close(own, theirs, rtol=0, atol=0.05 * float(theirs.detach().abs().max()))
+    values = torch.linalg.svdvals(orthogonalised(torch.randn(shape, generator=rng)))
+    assert ((values > 0.6) & (values < 1.3)).all()
+    assert not orthogonalised(torch.zeros(shape)).any()
 
 
 @pytest.mark.parametrize("sizes", [SIZES, Mlp(4, (8, 8))])

@@ -19,6 +19,7 @@ from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.score import EXPERT, speed_range_of
 from baselines.training.apg.closed_loop import Loss
+from baselines.training.apg.muon import Muon
 from baselines.training.apg.window import Objective
 from baselines.training.config import Config, check_integer
 from baselines.training.initial_agent import loaded
@@ -115,16 +116,15 @@ class Settings:
     def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
         """Return the optimisers of a network.
 
-        Muon orthogonalises the update of a matrix, so that all its directions have the same weight (Jordan et al. 2024,
-        "Muon: an optimizer for hidden layers in neural networks"). The gradient through the simulator is nearly
-        restricted to a few directions.
+        `Muon` gives all directions of a matrix the same weight. The gradient through the simulator is nearly restricted
+        to a few of them.
         """
         if self.matrix_learning_rate == 0:
             return (torch.optim.Adam(network.parameters(), lr=self.learning_rate),)
         *matrices, _ = (p for p in network.parameters() if p.ndim == 2)  # without the last layer's
         chosen = {id(p) for p in matrices}
         rest = [p for p in network.parameters() if id(p) not in chosen]
-        muon = torch.optim.Muon(matrices, lr=self.matrix_learning_rate, weight_decay=self.weight_decay)
+        muon = Muon(matrices, self.matrix_learning_rate, self.weight_decay)
         return muon, torch.optim.Adam(rest, lr=self.learning_rate)
 
 
