@@ -20,7 +20,7 @@ from baselines.scaling import scaled_for
 
 def list_policies() -> dict[str, str]:
     """Return a one-line description of each policy, by its name."""
-    agents = {name: f"a trained agent, see baselines/agents/shipped/{name}/card.md" for name in shipped_agents()}
+    agents = dict.fromkeys(shipped_agents(), "a trained agent, described in its card.md")
     return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 

@@ -48,7 +48,6 @@ html_css_files = ["site.css"]
 html_js_files = ["tables.js"]
 html_math_renderer = "mathml"  # browsers render it without scripts or network
 html_show_sourcelink = False
-exclude_patterns = ["_build"]
 suppress_warnings = [
     "ref.python",  # several modules have a class of this name; the link points to the first
 ]

@@ -1,7 +1,7 @@
 """Run examples of other libraries, in virtual environments with their requirements.
 
 `python -m examples` needs only Python. It makes the virtual environments under build/examples with pip, runs the
-scripts, writes their results to docs/tools.json, and updates the table of docs/tools.md.
+scripts, and writes their rows of the table in docs/tools.md.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import datetime as dt
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -19,12 +20,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 BUILD = ROOT / "build" / "examples"
-RECORD = ROOT / "docs" / "tools.json"
 PAGE = ROOT / "docs" / "tools.md"
 TORCH = next(
     line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if line.startswith("torch==")
 )
-BEGIN, END = "<!-- made by `make examples` -->", "<!-- end -->"
 VERSIONS = "import importlib.metadata as m, json, sys; print(json.dumps({n: m.version(n) for n in sys.argv[1:]}))"
 
 
@@ -84,8 +83,8 @@ def python_of(name: str) -> Path:
     return python
 
 
-def run(name: str, quick: bool) -> dict[str, object]:
-    """Run an example and return its entry of the record.
+def run(name: str, quick: bool) -> str:
+    """Run an example and return its row of the table.
 
     Raises:
         RuntimeError: the script fails.
@@ -108,28 +107,11 @@ def run(name: str, quick: bool) -> dict[str, object]:
     if done.returncode or not shown:
         raise RuntimeError(f"{name} fails with status {done.returncode}:\n{done.stdout[-4000:]}")
     wanted = (*example.packages, "gymnasium")
-    versions = subprocess.run([str(python), "-c", VERSIONS, *wanted], capture_output=True, text=True, check=True).stdout
+    found = subprocess.run([str(python), "-c", VERSIONS, *wanted], capture_output=True, text=True, check=True).stdout
+    versions = ", ".join(f"{package} {version}" for package, version in json.loads(found).items())
     today = dt.datetime.now(tz=dt.timezone.utc).date().isoformat()
-    return {"title": example.title, "versions": json.loads(versions), "date": today, "quick": quick, "works": shown[-1]}
-
-
-def table(record: dict[str, dict[str, object]]) -> str:
-    """Return the table of the page as Markdown."""
-    rows = ["| library | versions | date | what runs | script |", "|---|---|---|---|---|"]
-    for name in EXAMPLES:
-        if entry := record.get(name):
-            versions: object = entry["versions"]
-            assert isinstance(versions, dict)
-            listed = ", ".join(f"{package} {version}" for package, version in versions.items())
-            works = f"{entry['works']}{' (short run)' if entry['quick'] else ''}"
-            rows.append(f"| {entry['title']} | {listed} | {entry['date']} | {works} | `with_{name}.py` |")
-    return "\n".join(rows)
-
-
-def page_with(text: str, record: dict[str, dict[str, object]]) -> str:
-    """Return the page with its table replaced by that of a record."""
-    head, _, rest = text.partition(BEGIN)
-    return f"{head}{BEGIN}\n\n{table(record)}\n\n{END}{rest.partition(END)[2]}"
+    works = f"{shown[-1]}{' (short run)' if quick else ''}"
+    return f"| {example.title} | {versions} | {today} | {works} | `with_{name}.py` |"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -143,16 +125,15 @@ def main(arguments: list[str] | None = None) -> int:
     failed = 0
     for name in chosen.names or EXAMPLES:
         try:
-            entry = run(name, chosen.quick)
+            row = run(name, chosen.quick)
         except (RuntimeError, subprocess.CalledProcessError) as error:
             print(f"{name}: {error}", file=sys.stderr, flush=True)
             failed += 1
             continue
-        print(f"{name}: {entry['works']}", flush=True)
-        record = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
-        kept = {key: (record | {name: entry})[key] for key in EXAMPLES if key in record or key == name}
-        RECORD.write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
-        PAGE.write_text(page_with(PAGE.read_text(encoding="utf-8"), kept), encoding="utf-8")
+        print(row, flush=True)
+        page = PAGE.read_text(encoding="utf-8")
+        page = re.sub(rf"^\|.*\| `with_{name}\.py` \|$", lambda _, row=row: row, page, flags=re.MULTILINE)
+        PAGE.write_text(page, encoding="utf-8")
     return 1 if failed else 0
 
 

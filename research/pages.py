@@ -59,7 +59,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
     "export-cost": {
         "agreement": "research.deployment.page:agreement_section",
-        "rounded weights": "research.deployment.page:rounded_section",
         "speed on a computer": "research.deployment.page:speed_section",
         "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
     },

@@ -60,6 +60,7 @@ ELSEWHERE = {
     r"python -m research validation .*": "test_validation.py::test_the_command_writes_what_it_measures",
     r"python -m research transfer .*": "test_transfer.py::test_the_command_compares",
     r"python -m research throughput.*": "`make bench`, below",
+    r"git clone .*": "needs the network",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
     r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
@@ -193,7 +194,7 @@ def test_video_is_made_in_a_quick_form(copy):
 @pytest.mark.slow
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
-    for case in ("with resets", "staggered", "of eleven", "first use", "decision of one vehicle: nmpc"):
+    for case in ("with resets", "different times", "eleven of 64", "first use", "decision of one vehicle: nmpc"):
         assert case in text
 
 

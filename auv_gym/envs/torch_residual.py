@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 from gymnasium.vector.utils import batch_space
@@ -12,25 +12,8 @@ from torch import Tensor
 from auv_gym.envs.spaces import with_action
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
 from auv_gym.envs.vector_api import VectorWrapper
-from auv_gym.physics.namespaces import Namespace
 from auv_gym.task.observation import SIZE, Observation, action_of, decode
-from auv_gym.task.policy import checked_authority, corrected
-
-
-class TensorExpert(Protocol):
-    """A control law without memory that computes on any namespace, such as `Backstepping`."""
-
-    def forces(self, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
-        """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""
-
-
-TorchLaw = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
-"""`TensorExpert.forces`."""
-
-
-def expert_action(law: TorchLaw, o: Observation) -> tuple[Tensor, Tensor]:
-    """Return the surge and yaw action of a control law, shape (N,) each, for observations in SI units."""
-    return action_of(law(o, TENSORS), o, TENSORS)
+from auv_gym.task.policy import Law, checked_authority, corrected
 
 
 class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
@@ -47,7 +30,7 @@ class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor])
 
     env: TorchSimulator
 
-    def __init__(self, env: TorchSimulator, expert: TensorExpert, authority: float | Sequence[float] = 0.5) -> None:
+    def __init__(self, env: TorchSimulator, expert: Law, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
         if not hasattr(expert, "forces"):
             raise ValueError(
@@ -85,6 +68,6 @@ class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor])
     def _extended(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return observations with the expert's actions appended, (N, columns + 2), and these actions (N, 2)."""
         o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
-        base = torch.stack(expert_action(self.expert.forces, o), dim=1)
+        base = torch.stack(action_of(self.expert.forces(o, TENSORS), o, TENSORS), dim=1)
         base = base.to(torch.float32).to(observation.dtype)  # rounded as the actions of every policy
         return torch.cat((observation, base), dim=1), base

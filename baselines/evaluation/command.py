@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from baselines.evaluation import suites
 from baselines.evaluation.fingerprints import simulator_fingerprint
-from baselines.evaluation.options import Options
 from baselines.evaluation.progress import shown
 from baselines.evaluation.report.files import results_csv, results_json
 from baselines.evaluation.report.html import report_html
@@ -40,8 +39,7 @@ def evaluate(request: Request) -> int:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
         return FAILED
     print_report(results, pooled, out)
-    options, suite = request.options, request.suite or ""
-    if options.submit is not None and _submit(options, suite, request.command, found) != DONE:
+    if request.options.submit is not None and _submit(request, found) != DONE:
         return FAILED
     return FAILED if any(run.error for run in found) else DONE
 
@@ -75,25 +73,20 @@ def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None
     write_atomically(out / "report.html", report_html(request, results, pooled))
 
 
-def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run]) -> int:
+def _submit(request: Request, found: Sequence[Run]) -> int:
     """Write the submission of an evaluation into its folder, print the file's name and return the exit status.
-
-    Args:
-        options: options of the evaluation, with `submit`.
-        suite_name: name of the frozen suite.
-        command: the command as typed by the user.
-        found: the runs of the evaluation.
 
     Raises:
         OSError: the file cannot be written.
     """
+    options = request.options
     (policy,) = set(options.policy)
     assert options.submit is not None
     own = [run for run in found if run.policy == policy]
     file = options.out / f"{options.submit}.npz"
     try:
-        suite = suites.load_suite(suite_name)
-        made = submission_of(suite, own, options.submit, options.about, versions(), command)
+        suite = suites.load_suite(request.suite or "")
+        made = submission_of(suite, own, options.submit, options.about, versions(), request.command)
         size = save_submission(made, file)
     except ValueError as error:
         print(f"no submission: {error}", file=sys.stderr)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS, as_scenario
@@ -25,10 +25,8 @@ from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, Anchors, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import make_policy
-from baselines.tools.command_line import UsageError, checked_folder, printable
+from baselines.tools.command_line import UsageError, checked, checked_folder, printable
 from baselines.tools.workers import Workers
-
-T = TypeVar("T")
 
 DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
 """The scenarios of each suite whose episodes are drawn from the seed; all other suites are frozen."""
@@ -177,20 +175,6 @@ def _drawn(suite: str | None, options: Options) -> _Task:
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
     cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios)
     return _Task(cells, hashlib.sha256(text.encode()).hexdigest())
-
-
-def checked(make: Callable[[], T]) -> T:
-    """Call a function, return its result, and turn OSError and ValueError into UsageError.
-
-    Raises:
-        UsageError: the function raised ValueError, or a file cannot be read.
-    """
-    try:
-        return make()
-    except OSError as error:
-        raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(str(error)) from error
 
 
 def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:

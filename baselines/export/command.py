@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import install
 from auv_gym.scenarios.vehicles import PAPER
 from baselines.export.c_header import PREFIX, c_header
-from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
+from baselines.export.parts import exported
+from baselines.tools.command_line import DONE, UsageError, checked, checked_folder, parse
 from baselines.tools.files import write_atomically
 
 PROGRAM = "auv-gym export"
@@ -50,16 +50,13 @@ def main(arguments: Sequence[str]) -> int:
     """Write the files and return the exit status.
 
     Raises:
-        UsageError: the arguments are wrong, or a library is missing.
+        UsageError: the arguments are wrong.
         OSError: a file cannot be read or written.
     """
     options = parse(Options, arguments, PROGRAM)
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")
-    try:
-        agent = exported(options.agent, options.vehicle)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
+    agent = checked(partial(exported, options.agent, options.vehicle))
     if options.vehicle != PAPER.name:
         agent = replace(agent, name=f"{agent.name}-{Path(options.vehicle).stem}")
     checked_folder(options.out)
@@ -67,24 +64,11 @@ def main(arguments: Sequence[str]) -> int:
     if options.format in ("all", "c"):
         files[".h"] = c_header(agent, options.precision, options.weights, options.prefix).encode()
     if options.format in ("all", "onnx"):
-        files[".onnx"] = _onnx(agent, options.precision)
+        from baselines.export.onnx_model import onnx_model
+
+        files[".onnx"] = onnx_model(agent, options.precision).SerializeToString()
     for suffix, content in files.items():
         file = options.out / f"{agent.name}{suffix}"
         write_atomically(file, content)
         print(f"written: {file} ({len(content):,} bytes)")
     return DONE
-
-
-def _onnx(agent: Exported, precision: str) -> bytes:
-    """Return the content of the ONNX file.
-
-    Raises:
-        UsageError: onnx is not installed.
-    """
-    try:
-        from baselines.export.onnx_model import onnx_model
-
-        model: bytes = onnx_model(agent, precision).SerializeToString()
-    except ImportError:
-        raise UsageError(f"ONNX needs its library: {install('export')}, or choose --format c") from None
-    return model

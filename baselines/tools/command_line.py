@@ -20,6 +20,7 @@ import tyro
 from threadpoolctl import threadpool_limits
 
 Options = TypeVar("Options")
+T = TypeVar("T")
 
 _called: ContextVar[str] = ContextVar("_called", default="")  # the command as typed by the user, while `run` runs it
 
@@ -231,3 +232,17 @@ def _drop_output() -> None:
     """Redirect stdout to the null device: after a failed write the interpreter would try to flush it at exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def checked(make: Callable[[], T]) -> T:
+    """Call a function, return its result, and turn OSError and ValueError into UsageError.
+
+    Raises:
+        UsageError: the function raised ValueError, or a file cannot be read.
+    """
+    try:
+        return make()
+    except OSError as error:
+        raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(str(error)) from error

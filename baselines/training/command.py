@@ -19,8 +19,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE_FILE
 from baselines.agents.names import AGENT_FOLDER
-from baselines.evaluation.request import checked
-from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError
+from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError, checked
 from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
 from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config

@@ -16,9 +16,9 @@ from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
-from baselines.evaluation.request import checked, checked_scenario
+from baselines.evaluation.request import checked_scenario
 from baselines.evaluation.score import EXPERT
-from baselines.tools.command_line import UsageError, checked_folder
+from baselines.tools.command_line import UsageError, checked, checked_folder
 from baselines.tools.workers import Workers
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import (

@@ -20,7 +20,7 @@ from tyro.conf import Positional, arg
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
 from baselines.gains.loading import adapted_gains, checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, check_words, parse, typed
+from baselines.tools.command_line import DONE, UsageError, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
 from baselines.tuning.objective import TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
@@ -80,14 +80,9 @@ def main(arguments: Sequence[str]) -> int:
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
 
-    try:
-        tuning_scenarios(options.speed_range, tunable.world, vehicle_model)
-    except ValueError as error:  # its fins have no effect at such a low speed
-        raise UsageError(str(error)) from error
-    try:
-        gains = tune(factory, draw, start, budget) if options.evaluations else dict(start)
-    except ImportError as error:
-        raise UsageError(str(error)) from None
+    # refused if the vehicle's fins have no effect at such a low speed
+    checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
+    gains = tune(factory, draw, start, budget) if options.evaluations else dict(start)
     record = {
         "policy": options.name,
         "speed_range": options.speed_range,
@@ -114,10 +109,7 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
     Raises:
         UsageError: the vehicle is unknown, or the file cannot be read.
     """
-    try:
-        vehicle_model = PAPER if vehicle == PAPER.name else as_vehicle_model(vehicle)
-    except (OSError, ValueError) as error:
-        raise UsageError(str(error)) from error
+    vehicle_model = PAPER if vehicle == PAPER.name else checked(partial(as_vehicle_model, vehicle))
     if vehicle_model is None:
         raise UsageError(f"unknown vehicle {vehicle!r}; allowed are {', '.join(list_vehicles())}, or a .toml file")
     return vehicle_model

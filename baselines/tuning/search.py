@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.installation import install
 from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
 from baselines.tools.seeds import TUNING, TUNING_CHECK
@@ -61,7 +60,7 @@ class Budget:
         return TUNING_SEED + (self.generations + RUN_OFF) * self.episodes
 
 
-def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = None) -> dict[str, float]:
+def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget) -> dict[str, float]:
     """Return the best gains of a search.
 
     Args:
@@ -70,7 +69,6 @@ def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = N
         start: initial gains, positive.
         budget: of the search.
     """
-    budget = budget or Budget()
     names, centre = list(start), np.log(np.array(list(start.values())))
     finalists = [centre]
     begin = time.monotonic()
@@ -80,7 +78,8 @@ def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = N
         return result.error_m
 
     if budget.generations:
-        cma = strategies()
+        import cma
+
         options: dict[str, Any] = {"popsize": POPULATION, "CMA_diagonal": True, "seed": 1, "verbose": -9}
         radius = np.log(LARGEST_CHANGE)
         options |= {"bounds": [(centre - radius).tolist(), (centre + radius).tolist()]}
@@ -97,19 +96,6 @@ def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget | None = N
     ranked = sorted((cost(x, episodes), i) for i, x in enumerate(finalists))
     print("run-off", ranked, flush=True)
     return _gains(names, finalists[ranked[0][1]])
-
-
-def strategies() -> Any:
-    """Return the package `cma`.
-
-    Raises:
-        ImportError: it is not installed.
-    """
-    try:
-        import cma
-    except ImportError as error:
-        raise ImportError(f"tuning needs an evolution strategy: {install('tuning')}") from error
-    return cma
 
 
 def _gains(names: Sequence[str], x: Array) -> dict[str, float]:

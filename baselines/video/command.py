@@ -15,11 +15,11 @@ from tyro.conf import arg
 
 from auv_gym.rendering.renderer import SIZES
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.request import checked, checked_policies, checked_scenario
+from baselines.evaluation.request import checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, parse, printable
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked, checked_folder, parse, printable
 from baselines.tools.workers import Workers
 from baselines.video.files import WRITERS, save_video
 from baselines.video.layout import MOST_PANELS

@@ -1,6 +1,5 @@
 """Builds the live page in live/, next to the built pages."""
 
-import importlib.util
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -8,7 +7,7 @@ from sphinx.application import Sphinx
 
 def write(app: Sphinx, exception: Exception | None) -> None:
     """Write the live page after all other pages; not with the tag `quick`."""
-    if exception is None and "quick" not in app.tags and importlib.util.find_spec("research.site.live"):
+    if exception is None and "quick" not in app.tags:
         from research.site.live.page import write_page as write_live_page
 
         write_live_page(Path(app.outdir) / "live")

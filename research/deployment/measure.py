@@ -21,7 +21,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.rollout import ControlStep, Repeatable, beginning, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import Score, capped, error_cap, fixed, fixed_ends, lead, speed_range_of
+from baselines.evaluation.score import Score, capped, error_cap, lead, speed_range_of
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
@@ -61,9 +61,7 @@ class Measured:
 
     name: str
     fingerprint: str
-    onnx64: float  # largest difference of a command over whole episodes, each in its own closed loop
-    onnx32: float
-    c64: float
+    onnx32: float  # largest difference of a command over whole episodes, each in its own closed loop
     c32: float
     numpy_us: float  # processor time of a decision
     onnx_us: float
@@ -71,9 +69,7 @@ class Measured:
     header: int  # [bytes]
     model: int  # [bytes]
     score: float  # score of the agent on NumPy, in the same episodes
-    lost32: tuple[float, float, float]  # loss of score of the header, mean and interval
-    lost8: tuple[float, float, float]  # the same with int8 weights
-    m4: float  # largest difference of a command on the emulated processor
+    lost8: tuple[float, float, float]  # loss of score of the header with int8 weights, mean and interval
     instructions: float  # for a decision on the emulated processor
     code: int  # [bytes] code and constants on the emulated processor
     code8: int  # the same with int8 weights
@@ -91,35 +87,23 @@ def _measured(name: str, episodes: int) -> Measured:
     agent = exported(name)
     policy = agent.agent.policy()
     header, header8, model = HeaderPolicy(agent), HeaderPolicy(agent, weights="int8"), onnx_policy(agent, "float32")
-    moments = {
-        key: _moments(agent, each)
-        for key, each in (
-            ("numpy", policy),
-            ("onnx64", onnx_policy(agent)),
-            ("onnx32", model),
-            ("c64", HeaderPolicy(agent, "float64")),
-            ("c32", header),
-        )
-    }
+    moments = {key: _moments(agent, each) for key, each in (("numpy", policy), ("onnx32", model), ("c32", header))}
     commands = {key: np.array([m.command for m in own]) for key, own in moments.items()}
     differences = {key: float(np.abs(own - commands["numpy"]).max()) for key, own in commands.items()}
     observations = np.array([m.observation[0] for m in moments["numpy"]])
-    scores = _scores(name, {"float32": header, "int8": header8}, episodes)
+    score, lost8 = _scores(name, header8, episodes)
     return Measured(
         name=name,
         fingerprint=fingerprint(name),
-        onnx64=differences["onnx64"],
         onnx32=differences["onnx32"],
-        c64=differences["c64"],
         c32=differences["c32"],
         numpy_us=1e6 * _seconds(policy, observations),
         onnx_us=1e6 * _seconds(model, observations),
         c_us=1e6 * header.seconds(observations[-1]),
         header=len(c_header(agent)),
         model=len(onnx_model(agent, "float32").SerializeToString()),
-        score=scores["numpy"][0],
-        lost32=scores["float32"],
-        lost8=scores["int8"],
+        score=score.mean,
+        lost8=(lost8.mean, *lost8.ci95),
         **_on_m4(agent, header, observations[:_DECISIONS]),
     )
 
@@ -141,15 +125,13 @@ def _seconds(policy: Policy, observations: NDArray[Any]) -> float:
 
 def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) -> Mapping[str, Any]:
     """Run the header on the emulated processor, for the observations of an episode, and return the measurements."""
-    memory, commands, memories = None, [], []
+    memory, memories = None, []
     for observation in observations:
         memories.append(np.zeros(header.numbers) if memory is None else memory[0][0])
-        command, memory = header.predict(observation, memory)
-        commands.append(command)
+        _, memory = header.predict(observation, memory)
     found = emulated(agent, observations, np.array(memories))
     small = emulated(agent, observations[:1], np.array(memories[:1]), "int8")
     return {
-        "m4": float(np.abs(found.commands - np.array(commands)).max()),
         "instructions": found.instructions,
         "code": found.code,
         "code8": small.code,
@@ -158,8 +140,8 @@ def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) ->
     }
 
 
-def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
-    """Return the recorded score of an agent, as "numpy", and the loss of score of each policy, with intervals."""
+def _scores(name: str, policy: Policy, episodes: int) -> tuple[Score, Score]:
+    """Return the recorded score of an agent, and the loss of score of a policy that stands for it."""
     suite = suites.load_suite(_SUITE)
     kept = [{r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
@@ -169,16 +151,10 @@ def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[st
         return [capped(m[:episodes], error_cap(cell)) for cell, m in found if m is not None]
 
     expert, oracle, own = (steady_rmses(rows) for rows in kept)
-    result = {"numpy": _triple(lead(expert, expert, [t[None] for t in own], oracle))}
-    for key, policy in policies.items():
-        runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
-        theirs = [capped(m, error_cap(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
-        result[key] = _triple(lead(expert, theirs, [t[None] for t in own], oracle))
-    return result
-
-
-def _triple(score: Score) -> tuple[float, float, float]:
-    return score.mean, *score.ci95
+    runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
+    theirs = [capped(m, error_cap(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
+    seed = [t[None] for t in own]
+    return lead(expert, expert, seed, oracle), lead(expert, theirs, seed, oracle)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -197,8 +173,7 @@ def main(arguments: Sequence[str]) -> int:
         except ImportError:
             raise UsageError(f"the measurement needs ONNX: {install('export')}") from None
         last = found[-1]
-        loss = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
-        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, loss of score {loss}", flush=True)
+        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions", flush=True)
     record = {"episodes": options.episodes, "agents": [asdict(measured) for measured in found]}
     write_atomically(options.out, json_text(record))
     return DONE

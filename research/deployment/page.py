@@ -15,21 +15,20 @@ MEASURED_FILE = DATA / "deployment.json"
 
 
 def agreement_section() -> str:
-    """Return the table of the largest differences of commands and of the loss of score."""
-    heads = ("agent", "ONNX, double", "ONNX, single", "header, double", "header, single", "score", "loss in single")
-    keys = ("onnx64", "onnx32", "c64", "c32")
-    record = read_json(MEASURED_FILE)
+    """Return the table of the largest differences of commands and of the loss of score with int8 weights."""
+    heads = ("agent", "ONNX", "header", "score", "loss with int8", "interval")
     rows = [
-        (a["name"], *(f"{a[k]:.1e}" for k in keys), fixed(a["score"]), _loss(a["lost32"], 5)) for a in record["agents"]
+        (
+            a["name"],
+            *(f"{a[k]:.1e}" for k in ("onnx32", "c32")),
+            fixed(a["score"]),
+            fixed(a["lost8"][0], 4),
+            fixed_ends(a["lost8"][1:], 4),
+        )
+        for a in _agents()
     ]
-    return f"Scores are of the first {record['episodes']} episodes of each cell.\n\n{table(heads, rows)}"
-
-
-def rounded_section() -> str:
-    """Return the table of the loss of score with int8 weights."""
-    return table(
-        ("agent", "score", "loss with int8", "interval"),
-        [(a["name"], fixed(a["score"]), fixed(a["lost8"][0], 4), fixed_ends(a["lost8"][1:], 4)) for a in _agents()],
+    return (
+        f"Scores are of the first {read_json(MEASURED_FILE)['episodes']} episodes of each cell.\n\n{table(heads, rows)}"
     )
 
 
@@ -44,24 +43,17 @@ def speed_section() -> str:
 
 def cortex_m4_section() -> str:
     """Return the table of the cost of a decision on the emulated Cortex-M4."""
-    heads = ("on the Cortex-M4", "instructions", "difference", "code", "code, int8", "memory", "stack")
+    heads = ("on the Cortex-M4", "instructions", "code", "code, int8", "memory", "stack")
     sizes = ("code", "code8", "memory", "stack")
     return table(
         heads,
-        [
-            (a["name"], f"{a['instructions']:,.0f}", f"{a['m4']:.1e}", *(_kibibytes(a[k]) for k in sizes))
-            for a in _agents()
-        ],
+        [(a["name"], f"{a['instructions']:,.0f}", *(_kibibytes(a[k]) for k in sizes)) for a in _agents()],
     )
 
 
 def _agents() -> Sequence[dict[str, Any]]:
     agents: Sequence[dict[str, Any]] = read_json(MEASURED_FILE)["agents"]
     return agents
-
-
-def _loss(triple: tuple[float, float, float], digits: int) -> str:
-    return f"{fixed(triple[0], digits)} ({fixed_ends(triple[1:], digits)})"
 
 
 def _kibibytes(size: int) -> str:

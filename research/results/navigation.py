@@ -20,7 +20,7 @@ Between position fixes the position is estimated by dead reckoning. Most of an e
 The table has the mean steady-state error [mm] of a controller that keeps the estimated position exactly on the
 reference. The *additional error* above is what a policy adds to it in the same episodes, with a 95 % bootstrap
 interval. It can be negative: a policy can average the jumps of the estimate, or learn the errors of the sensors from
-them. The policy that scores 1 needs no navigation, so all other scores are near 0."""
+them. `clairvoyant` and `oracle` use the true position, so the scores of all other policies are far below 1."""
 
 
 def navigation_alone(results: Results, speed_range: str) -> dict[str, Array]:

@@ -30,11 +30,12 @@ _COLUMNS = {
 """Columns of the report on the page, with their headings and factors."""
 _DESCRIPTIONS = {
     "benchmark-v2": "The disturbances of the training, drawn from other seeds.",
-    "ood-v1": "Disturbances outside the ranges of the training.",
+    "ood-v1": "Stronger or different disturbances and other paths than in the benchmark. Some agents were trained in "
+    "sheared currents ([Suites](../suites.md#ood-v1)).",
     "unmodelled-v1": "Sensor and actuator faults that most policies do not model.",
     "deep-v1": "Position fixes are rare. Between fixes the position is estimated by dead reckoning.",
-    "sealed-v2": "Conditions outside most trainings. The episodes were secret until all policies were frozen. "
-    "`helm-any` was trained on large initial errors and on outages as long as these.",
+    "sealed-v2": "Conditions on which most agents were not trained. The episodes were secret until all policies were "
+    "frozen. `helm-any` was trained on large initial errors and on outages as long as these.",
 }
 
 
@@ -60,7 +61,7 @@ def _context(results: Results) -> dict[str, Any]:
         "what": _DESCRIPTIONS[suite.name],
         "suite": suite,
         "episodes": sum(len(cell.episodes) for cell in suite.cells),
-        "dates": " and ".join(dates),
+        "dates": f"on {dates[0]}" if len(dates) == 1 else f"from {dates[0]} to {dates[-1]}",
         "speed_ranges": [
             _speed_range(results, speed_range, additional_errors(results, own)) for speed_range, own in errors.items()
         ],
@@ -93,7 +94,7 @@ def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str
     if factor == 1.0 or entry.summary is None:
         return column.text(entry)
     value = factor * column.of(entry)
-    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"
+    return f"{value:.0f}" if value >= 999.5 else f"{value:.3g}"
 
 
 def _bound(results: Results) -> str:

@@ -61,8 +61,6 @@ ERROR_SIZES = (0.2, 0.4, 0.6)
 """Largest relative errors of a parameter; errors are uniform between plus and minus the largest one."""
 _MODELS = 12
 """Number of wrong models of each size, the same ones for all policies."""
-KEPT_EPISODES = 3
-"""Number of episodes of each case whose errors are recorded one by one, with the true and the first wrong model."""
 
 _PARAMETERS = ("m11", "m22", "m33", "d11", "d22", "d33")
 """Parameters of the vehicle that may be wrong."""
@@ -146,7 +144,6 @@ def with_wrong_models(name: str, speed_range: str, episodes: int) -> dict[str, A
             "score": _ends(seeds_score(zero, [row[None] for row in right], one)),
             "failed": failed,
             "error_m": [round(float(row.mean()), 6) for row in right],
-            "first_m": [np.round(row[:KEPT_EPISODES], 6).tolist() for row in right],
         },
         "wrong": {key: [compared(wrong, size) for size in ERROR_SIZES] for key, wrong in PARAMETER_SETS.items()},
     }
@@ -172,11 +169,9 @@ def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Arra
     """Return the comparison of the errors with wrong models, shape (models, M) by cell, to those with the true one."""
     above = partial(lead, zero, right, one=one)
     return {
-        "score": _ends(seeds_score(zero, each, one)),
         "above": _ends(above(each)),
         "vehicles": [round(above([rows[[k]] for rows in each]).mean, 5) for k in range(len(each[0]))],
         "error_m": [round(float(rows.mean()), 6) for rows in each],
-        "first_m": [np.round(rows[0, :KEPT_EPISODES], 6).tolist() for rows in each],
     }
 
 

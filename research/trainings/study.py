@@ -18,14 +18,13 @@ from baselines.agents.names import AGENT_FOLDER
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
-from baselines.evaluation.recorded import RECORDED_SUITES
 from baselines.evaluation.runner import Cell, Run
 from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
-from research.trainings.shipped import SHIPPED_RUNS, install_agent, with_start
+from research.trainings.shipped import SHIPPED_RUNS, with_start
 from research.trainings.study_files import STUDIES_FOLDER, Study, save_study
 from research.trainings.trainings import (
     ERROR_ONLY,
@@ -40,9 +39,9 @@ from research.trainings.trainings import (
 
 PROGRAM = "python -m research study"
 OF_ALL_VEHICLES = ("helm-any-first", "helm-any")
-"""Agents that also run on the suites with other vehicles."""
-OF_THE_PAPER = tuple(name for name in RECORDED_SUITES if name != "vehicles-v2")
-"""Suites of the paper's vehicle."""
+"""Agents that also run on the suite with other vehicles."""
+OF_THE_PAPER = ("benchmark-v1", "unmodelled-v1")
+"""Suites of the paper's vehicle that the pages of results show for several seeds."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     if (speed_range := name.rpartition("-")[2]) in SPEED_RANGES:
         return {name: Variant(speed_range, replace(each, seeds=_SEEDS))}
     own = replace(each, seeds=_LONG_SEEDS if name in OF_ALL_VEHICLES else _SEEDS)
-    where = RECORDED_SUITES if name in OF_ALL_VEHICLES else OF_THE_PAPER
+    where = (*OF_THE_PAPER, "vehicles-v2") if name in OF_ALL_VEHICLES else OF_THE_PAPER
     return {f"{name}-{speed_range}": Variant(speed_range, own, where, name) for speed_range in SPEED_RANGES}
 
 
@@ -125,8 +124,6 @@ class Options:
     """Folder of the runs."""
     jobs: int = 2
     """Number of trainings that run at the same time."""
-    install: bool = False
-    """Replace the agents in baselines/agents/shipped by those of the first seed."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -143,8 +140,6 @@ def main(arguments: Sequence[str]) -> int:
         request = request_of(with_start(variant.training, SHIPPED_RUNS), options.out / agent, options.jobs)
         if (status := train(request)) != DONE:
             return status
-        if options.install and agent in SHIPPED_TRAININGS:
-            install_agent(agent, request.folders[0])
         save_study(name, studied(variant, request, options.jobs), STUDIES_FOLDER)
     return DONE
 

@@ -53,8 +53,8 @@ def context(_: str = "") -> dict[str, Any]:
         ("Esso Osaka, turning diameter", f"{float(np.median(np.abs(shares))):.1f} %, median of {len(shares)} turns",
          "5 %", float(np.median(np.abs(shares))) <= 5),
         ("Esso Osaka, zig-zags, heading over 60 s", f"{zigzags:.1f} degrees", "5 degrees", zigzags <= 5),
-        *((f"{_NAMES[name]}, errors inside the 95 % bands", f"{share:.0f} %", "90 to 98 %", 90 <= share <= 98)
-          for name, share in inside.items()),
+        *((f"{_NAMES[name]}, errors inside the 95 % bands, mean of six quantities", f"{share:.0f} %", "90 to 98 %",
+           90 <= share <= 98) for name, share in inside.items()),
     ]  # fmt: skip
     return {
         "goals": [(what, found, goal, "yes" if met else "no") for what, found, goal, met in goals],

@@ -10,8 +10,8 @@ from baselines.tuning.tunables import TUNABLES
 from research.pages import table
 
 _HEADS = (
-    "name", "what", "L [m]", "speed [m/s]", "thrust [N]", "torque [N m]", "lag [s]", "m22/m11", "sway drag", "yaw drag",
-    "yaw torque",
+    "name", "what", "L [m]", "speed [m/s]", "thrust [N]", "yaw moment at that speed [N m]", "lag [s]", "m22/m11",
+    "sway drag", "yaw drag", "yaw moment / (m11 U^2)",
 )  # fmt: skip
 
 
@@ -42,6 +42,5 @@ def tuned_gains() -> str:
             errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['failed']:.1f} %"
             ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
             rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, *ratios))
-    return table(
-        ("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows
-    )
+    heads = "controller", "speed range", "gains", "error [mm]", "error reduction", "failures", "effort", "command rate"
+    return table(heads, rows)

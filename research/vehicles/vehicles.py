@@ -15,13 +15,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from scipy import stats
 from tyro.conf import Positional, UseAppendAction, arg
 
-from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.vehicles import VehicleModel, vehicle_names
-from baselines.evaluation.metrics import RESAMPLES
-from baselines.evaluation.score import RIVAL
+from baselines.evaluation.score import RIVAL, relative_error
 from baselines.gains.loading import adapted_gains, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
@@ -83,13 +80,14 @@ def searched(vehicle_model: VehicleModel, name: str, options: Options) -> dict[s
     held_out = courses(options.held_out, VALIDATION_SEED)
     ended = [held_out.steady_rmses(factory(dict(each))) for each in (plain, start, gains)]
     _, mine, theirs = (steady_rmse for steady_rmse, _, _ in ended)
+    ratio = relative_error([theirs], [mine])
     return {
         "budget": [options.evaluations, options.episodes],
         "episodes": options.held_out,
         "error": {kind: e.mean() / own.vehicle.length for kind, (e, _, _) in zip(KINDS, ended, strict=True)},
         "failed": {kind: int(failed.sum()) for kind, (_, failed, _) in zip(KINDS, ended, strict=True)},
-        "ratio": mine.mean() / theirs.mean(),
-        "interval": ratio_interval(mine, theirs),
+        "ratio": ratio.mean,
+        "interval": list(ratio.ci95),
         "gains": gains,
     }
 
@@ -121,19 +119,6 @@ def beside(vehicle_model: VehicleModel, gains: Mapping[str, float], episodes: in
         },
         "failed": {side: int(failed.sum()) for side, (_, failed, _) in zip(SIDES, ended, strict=True)},
     }
-
-
-def ratio_interval(mine: Array, theirs: Array) -> list[float]:
-    """Return the 95 % interval of the ratio of two means over the same episodes, by bootstrap over episodes."""
-
-    def ratio(a: Array, b: Array, axis: int) -> Array:
-        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
-
-    found = stats.bootstrap(
-        (mine, theirs), ratio, paired=True, vectorized=True, n_resamples=RESAMPLES, batch=256,
-        rng=np.random.default_rng(0), method="percentile",
-    ).confidence_interval  # fmt: skip
-    return [float(found.low), float(found.high)]
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -81,7 +81,8 @@ def search_table(record: Mapping[str, Any]) -> str:
         for vehicle, entry in record.items()
         for name, found in entry.items()
     ]
-    return table(["vehicle", "controller", "by units", "from parameters", "searched", "ratio"], rows, right=False)
+    heads = ["vehicle", "controller", "scaled by units", "from parameters", "searched", "ratio"]
+    return table(heads, rows, right=False)
 
 
 def exponents_section() -> str:

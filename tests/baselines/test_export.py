@@ -19,6 +19,7 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.task.observation import SIZE, decode_observation
 from auv_gym.task.policy import POSITIVE
+from baselines import __main__ as program
 from baselines import make_policy
 from baselines.agents.names import agent_folder, shipped_agents
 from baselines.evaluation.fingerprints import fingerprint
@@ -378,10 +379,12 @@ def test_wrong_arguments_raise_usage_errors(tmp_path, words, message):
     assert not list(tmp_path.iterdir())
 
 
-def test_message_names_a_missing_library(tmp_path, monkeypatch):
+def test_message_names_a_missing_library(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(__import__("sys").modules, "onnx", None)
-    with pytest.raises(UsageError, match=r"pip install .*\[export\]'"):
-        command.main(["sac-slow", "--out", str(tmp_path)])
+    monkeypatch.delitem(__import__("sys").modules, "baselines.export.onnx_model", raising=False)
+    assert program.call(program.COMMANDS["export"], ["sac-slow", "--out", str(tmp_path)], "auv-gym export") == 2
+    assert re.search(r"auv-gym export needs onnx: pip install .*\[export\]'", capsys.readouterr().err)
+    assert not list(tmp_path.iterdir())
     assert command.main(["sac-slow", "--format", "c", "--out", str(tmp_path)]) == 0
 
 
@@ -399,6 +402,5 @@ def test_the_measurements_that_the_page_shows_are_of_the_present_agents_and_smal
     assert [entry["name"] for entry in record["agents"]] == list(measure.AGENTS)
     for entry in record["agents"]:
         assert entry["fingerprint"] == fingerprint(entry["name"]), "run research deployment"
-        assert max(entry["onnx64"], entry["c64"]) < 1e-6
-        assert entry["m4"] < 1e-6
-        assert abs(entry["lost32"][0]) < 1e-3
+        assert max(entry["onnx32"], entry["c32"]) < 1e-2
+        assert abs(entry["lost8"][0]) < 1e-2

@@ -314,7 +314,7 @@ def test_the_readme_compares_tuned_agents_with_the_best_controllers():
     vehicles = json.loads(fine_tuning.FINE_TUNING_FILE.read_text(encoding="utf-8"))["vehicles"]
     ratios = [fine_tuning.ratio(own, "tuned", fine_tuning.best_controller(own))[0] for own in vehicles.values()]
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert f"the error is {min(ratios):.2f} to {max(ratios):.2f} times that of its best controller" in readme
+    assert f"the error is then {min(ratios):.2f} to {max(ratios):.2f} times that of the best controller" in readme
     seconds = [own["tuned"]["seconds"] for own in vehicles.values()]
     assert (round(min(seconds) / 60), round(max(seconds) / 60)) == (2, 3)
-    assert "After two to three minutes of [training for one vehicle]" in readme
+    assert "[Training for one vehicle](docs/fine-tuning.md) takes two to three minutes" in readme

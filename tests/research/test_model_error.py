@@ -48,7 +48,6 @@ def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
         mean, low, high = rows[0]["above"]
         assert low <= mean <= high
         assert mean == pytest.approx(np.mean(rows[0]["vehicles"]), abs=1e-4)
-        assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
         assert rows[0]["error_m"] != found["right"]["error_m"]
     (tmp_path / "backstepping.json").write_text(json.dumps({"cruise": found}))
     row = model_error.context("", tmp_path)["records"]["cruise"][1]
@@ -81,16 +80,23 @@ def test_wrong_usage(arguments, says, capsys):
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_recorded_errors_are_reproduced():
-    """Three episodes in still water, with the true model and the first wrong one."""
+    """Mean errors in still water, with the true model and over the wrong ones."""
     kept = read_json(model_error.MODEL_ERROR_FOLDER / "helm-any.json")["cruise"]
-    cell = model_error.cells_of("cruise", model_error.KEPT_EPISODES)[0]
+    cell = model_error.cells_of("cruise", kept["episodes"])[0]
     wrong, size = model_error.PARAMETER_SETS["ratios"], model_error.ERROR_SIZES[-1]
-    first = model_error.wrong_model(cell.scenario.vehicle, model_error.model_errors(0), size, wrong)
+    models = [
+        model_error.wrong_model(cell.scenario.vehicle, model_error.model_errors(k), size, wrong)
+        for k in range(model_error._MODELS)
+    ]
     episodes = SideBySide([cell])
-    for vehicle, errors in (
-        (cell.scenario.vehicle, kept["right"]["first_m"][0]),
-        (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
+    for vehicles, error in (
+        ([cell.scenario.vehicle], kept["right"]["error_m"][0]),
+        (models, kept["wrong"]["ratios"][-1]["error_m"][0]),
     ):
-        steady_rmses = episodes.run(model_error.policy_with("helm-any", vehicle))[0].steady_rmse
-        np.testing.assert_allclose(steady_rmses, errors, rtol=1e-2, atol=1e-5)
+        found = [
+            episodes.run(model_error.policy_with("helm-any", vehicle))[0].steady_rmse.clip(max=2.0)
+            for vehicle in vehicles
+        ]
+        assert np.mean(found) == pytest.approx(error, rel=1e-2)

@@ -13,6 +13,7 @@ from baselines import list_policies
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
 from baselines.evaluation.score import error_cap, has_failed, lead
+from baselines.tools.files import read_json
 from research import pages
 from research.estimation_bound.command import episode_errors, recorded_bounds
 from research.pages import SUITE_PAGES
@@ -20,6 +21,7 @@ from research.results import collection, overview
 from research.results.collection import ROUNDING, Results, better_than, results_of
 from research.results.learning import versus_expert
 from research.robustness.faults import FAULTS_FILE
+from research.throughput.measure import THROUGHPUT_FILE
 from research.transfer.comparison import TRANSFER_FILE
 
 pytestmark = pytest.mark.slow  # all recorded rows are read
@@ -81,7 +83,8 @@ def test_recorded_bounds_of_single_episodes_are_reproduced(benchmark):
 
 def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
     """The first columns of docs/results.md, the times of a decision at cruise, and the training time of the agent."""
-    rows = overview.context()["rows"]
+    values = overview.context()
+    rows, ratios = values["rows"], values["ratios"]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = re.findall(r"^\| (`\S+`) \| (.*) \|$", readme, re.MULTILINE)
     assert [[name, *cells.split(" | ")] for name, cells in shown] == [row[:4] for row in rows]
@@ -90,8 +93,12 @@ def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
     card = (agent_folder(AGENT) / "card.md").read_text(encoding="utf-8")
     minutes = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
     prose = " ".join(readme.split())
+    assert f"is {ratios['slow']:.2f} (slow) and {ratios['cruise']:.2f} (cruise) times that of `nmpc`" in prose
     assert f"A decision of `{AGENT}` takes {agent} and one of `nmpc` {rival}" in prose
     assert f"`{AGENT}` was trained in {WORDS[minutes]} minutes on two cores" in prose
+    alone = {figure["case"].rpartition(": ")[2]: figure["value"] for figure in read_json(THROUGHPUT_FILE)["figures"]}
+    agent, rival = (f"{1e6 * alone[name]:.0f}" for name in (AGENT, "nmpc"))
+    assert f"for one vehicle {agent} and {rival} us)" in prose
 
 
 def test_the_limitations_of_the_readme_are_measured(suites):
@@ -105,12 +112,17 @@ def test_the_limitations_of_the_readme_are_measured(suites):
     faults = json.loads(FAULTS_FILE.read_text(encoding="utf-8"))
     frozen = [faults[policy]["cruise-yaw-rate-frozen"] for policy in (AGENT, "backstepping")]
     assert frozen[0]["failed"] > frozen[1]["failed"]
-    assert f"{frozen[0]['failed']} of {frozen[0]['episodes']} episodes, the expert {frozen[1]['failed']})" in readme
-    record = json.loads(TRANSFER_FILE.read_text(encoding="utf-8"))["remus100"]
+    assert f"{frozen[0]['failed']} of {frozen[0]['episodes']} episodes, the law {frozen[1]['failed']})" in readme
+    transfer = json.loads(TRANSFER_FILE.read_text(encoding="utf-8"))
+    record = transfer["remus100"]
     errors = record["policies"]
     agent, rival = (f"{errors[policy]['space_m']:.3g} m" for policy in ("helm-any", "ilos"))
-    assert f"level with `ilos` in six degrees of freedom, and both errors are large: {agent} and {rival}" in readme
+    assert f"`helm-any` is level with `ilos`, and both errors are large: {agent} and {rival}" in readme
     assert {"helm-any", "ilos"} <= set(record["best"]["plane"]) & set(record["best"]["space"])
+    otter = transfer["otter"]["policies"]["helm-any"]
+    said = f"its error is {otter['space_m'] / otter['plane_m']:.1f} times that in the plane, {otter['space_m']:.3f} m"
+    assert f"{said}, level with `nmpc`" in readme
+    assert {"helm-any", "nmpc"} <= set(transfer["otter"]["best"]["space"])
 
 
 def _failed_in(results, scenario, policy):
@@ -188,7 +200,6 @@ def test_the_summary_is_the_mean_of_the_rows():
     ]
 
 
-@pytest.mark.slow
 def test_pages_are_short_and_up_to_date(capsys):
     assert pages.main(["--check"]) == 0, "run `make pages`"
     for page in (page for page in pages.PAGES if page.startswith("results")):

@@ -2,8 +2,6 @@
 
 import bz2
 import hashlib
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +19,12 @@ from baselines.evaluation.recorded import DIGITS
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
-from baselines.evaluation.score import BY_BOUND, BY_ORACLE
+from baselines.evaluation.score import BY_BOUND
 from baselines.evaluation.suites.anchor_errors import ANCHOR_ERRORS_FILE, recorded_anchor_errors, write_anchor_errors
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import read_json, versions
 from research.suites import sealed
-from research.suites.builder import BUILDERS, FAMILIES, OLDEST, SHARED, anchors_of, build
+from research.suites.builder import BUILDERS, FAMILIES, SHARED, anchors_of, build
 from research.suites.command import main
 
 NAMES = suites.list_suites()
@@ -107,7 +105,6 @@ def test_new_suites_have_their_anchors(small, tmp_path):
     cells = suites.load_suite("small", small).cells
     suites.save_suite("new", cells[:1], tmp_path, anchors_of("new"))
     assert suites.load_suite("new", tmp_path).anchors == BY_BOUND
-    assert {anchors_of(name) for name in OLDEST} == {BY_ORACLE}
 
 
 def test_paths_out_of_distribution_are_no_training_paths():
@@ -246,12 +243,6 @@ def test_request_of_a_frozen_suite(tmp_path):
 def test_wrong_usage_of_the_suites_command(arguments):
     with pytest.raises(UsageError):
         main(arguments)
-
-
-def test_suites_command_as_a_process():
-    command = [sys.executable, "-m", "research", "suites", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=suites.SUITES_FOLDER.parents[2])
-    assert "check" in done.stdout
 
 
 def test_drawn_episodes_are_those_of_a_reset():

@@ -72,16 +72,6 @@ def test_a_course_of_another_vehicle_is_in_the_papers_units():
     assert np.median(steady_rmses) < 0.2
 
 
-def test_the_ratio_of_means_and_its_interval():
-    rng = np.random.default_rng(0)
-    theirs = rng.uniform(1.0, 2.0, 200)
-    low, high = vehicles.ratio_interval(1.1 * theirs, theirs)
-    assert low == pytest.approx(1.1)
-    assert high == pytest.approx(1.1)
-    low, high = vehicles.ratio_interval(theirs + rng.normal(0.15, 0.3, 200), theirs)
-    assert 1.0 < low < 1.1 < high < 1.2
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

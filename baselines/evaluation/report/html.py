@@ -72,9 +72,7 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     maps = _maps(results, policies)
     joint = [entry for entry in pooled if entry.place.partition(VEHICLE_MARK)[0] in {m["speed_range"] for m in maps}]
     return render_report(
-        "report.html",
         page_data(results, pooled),
-        ("report.js", "player.js"),
         title=request.suite or _listed([cell.scenario.name for cell in request.cells]),
         looks=[look_of(policy, policies) for policy in policies],
         count=len({r.run.policy for r in results}),

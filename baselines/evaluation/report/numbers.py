@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
@@ -149,20 +148,15 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
     if all(zero in case and one in case for case in cases):
         three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
         plain = score(*([m.steady_rmse for m in column] for column in three))
-        cut = score(*(_capped(column, caps) for column in three))
+        cut = score(*(list(map(capped, column, caps)) for column in three))
     error_ratio = math.nan
     if all(RIVAL in case for case in cases):
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
-        error_ratio = ratio(*(float(np.concatenate(_capped(column, caps)).mean()) for column in columns))
+        error_ratio = ratio(*(float(np.concatenate(list(map(capped, column, caps))).mean()) for column in columns))
     plainly = {run.scenario.name: run.measures for run in runs if run.measures is not None}
     shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else own
     failed, summary = sum(map(count_failures, own, caps)), summarise(Measures.joined(shown), interval=len(own) == 1)
     return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, failed, error_ratio)
-
-
-def _capped(cases: Sequence[Measures], caps: Sequence[float]) -> list[Array]:
-    """Return the capped steady-state errors [m] in each case."""
-    return list(map(capped, cases, caps))
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:

@@ -1,4 +1,4 @@
-"""Renders a page as one file: template, style, scripts, charts and data.
+"""Renders the report as one file: template, style, scripts, charts and data.
 
 Vega-Lite draws the charts. Its code comes from vl-convert. The page has one compressed copy of it, and the compressed
 data; the browser decompresses both. Names come from users, so Jinja2 escapes text, and data are JSON.
@@ -17,40 +17,31 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from auv_gym.codegen.cache import cache_folders, open_own, own_folder
-from auv_gym.installation import install
 from baselines.tools.files import finite, write_atomically
 
 WEB = Path(__file__).parent / "web"
 """The templates, the style and the scripts."""
-_MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # the message if they are missing
 _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colours of -1, 0 and 1
 _SNIPPET = "window.vegaEmbed = vegaEmbed;"  # the function of the library that pages use
 
 
-def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **context: Any) -> str:
-    """Return the text of a page.
+def render_report(data: Any, **context: Any) -> str:
+    """Return the text of the report.
 
     Args:
-        template: name of a file in `WEB`.
         data: data of the scripts, plain JSON; numbers that are not finite become null.
-        scripts: names of files in `WEB`, in addition to `page.js`.
         context: variables of the template; text in them is escaped.
-
-    Raises:
-        ImportError: a library is missing; the message says which extra to install.
     """
-    try:
-        import jinja2
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    return environment.get_template(template).render(
+    return environment.get_template("report.html").render(
         style=_web_file("page.css"),
-        script="\n".join(_web_file(name) for name in ("page.js", *scripts)),
+        script="\n".join(_web_file(name) for name in ("page.js", "report.js", "player.js")),
         library=_library(),
         data=_packed(json.dumps(finite(data), separators=(",", ":"), allow_nan=False)),
         **context,
@@ -76,15 +67,7 @@ def _web_file(name: str) -> str:
 
 @cache
 def _library() -> str:
-    """Return the packed code of the charts' library; it is cached in a file, since making it takes seconds.
-
-    Raises:
-        ImportError: the library is missing.
-    """
-    try:
-        import vl_convert
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
+    """Return the packed code of the charts' library; it is cached in a file, since making it takes seconds."""
     version = f"{metadata.version('vl-convert-python')} {_SNIPPET}"
     name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
     for folder in cache_folders():
@@ -92,6 +75,8 @@ def _library() -> str:
             code = file.read().decode("ascii")  # an exception: it is missing, damaged, or another user's
             gzip.decompress(base64.b64decode(code))
             return code
+    import vl_convert
+
     code = _packed(vl_convert.javascript_bundle(_SNIPPET))
     for folder in cache_folders():
         with suppress(OSError):  # without a cache it is made again the next time

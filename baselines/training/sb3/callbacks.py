@@ -67,13 +67,7 @@ class FrozenActor(BaseCallback):
         super().__init__()
         self.steps = steps
 
-    def _on_training_start(self) -> None:
-        self._set()
-
     def _on_rollout_start(self) -> None:
-        self._set()
-
-    def _set(self) -> None:
         policy: Any = self.model.policy
         policy.actor.requires_grad_(self.num_timesteps >= self.steps)
 

@@ -36,15 +36,13 @@ const CONFIG = {
   background: "transparent",
   view: { stroke: null },
   axis: { labelColor: "#1d2733", titleColor: "#1d2733", titleFontWeight: 500, gridColor: "#e6e9ed", domainColor: "#9aa4af", tickColor: "#9aa4af", labelFontSize: 11, titleFontSize: 12 },
-  legend: { labelFontSize: 11, titleFontSize: 12, symbolStrokeWidth: 2 },
-  title: { anchor: "start", fontSize: 12, fontWeight: 600 },
 };
 
 /** Draw a chart into an element and return its view. */
 async function drawn(element, spec) {
   const options = { renderer: "svg", actions: { export: true, source: false, compiled: false, editor: false } };
-  const name = (document.title + "-" + (element.id || "chart")).replace(/[^\w-]+/g, "-");
-  const autosize = spec.width === "container" ? { type: "fit-x", contains: "padding" } : "pad";
+  const name = (document.title + "-" + element.id).replace(/[^\w-]+/g, "-");
+  const autosize = { type: "fit-x", contains: "padding" };
   const { view } = await window.vegaEmbed(element, { ...spec, config: CONFIG, autosize }, { ...options, downloadFileName: name });
   return view;
 }

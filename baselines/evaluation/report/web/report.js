@@ -11,7 +11,7 @@ function report(data) {
 
   /** Draw a chart, or replace the rows of a chart that exists. */
   async function chart(id, element, rows, others = {}, values = {}) {
-    const key = element.id || id;
+    const key = element.id;
     if (!views[key]) {
       const spec = structuredClone(data.charts[id]);
       for (const param of spec.params ?? []) if (param.name in values) param.value = values[param.name];
