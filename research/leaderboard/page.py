@@ -44,7 +44,7 @@ def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
     for board in boards:
         suite = board.suite
         count = sum(len(cell.episodes) for cell in suite.cells)
-        setting = f"{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`. `{suite.anchors.one}` scores 1."
+        setting = f"{len(suite.cells)} cells, {count} episodes, SHA-256 `{suite.hash}`. `{suite.anchors.one}` scores 1."
         parts.append(f"## {suite.name}\n\n{setting}\n")
         by_name = {s.name: s for s in board.submissions}
         for place in dict.fromkeys(entry.place for entry in board.entries):

@@ -105,9 +105,9 @@ def _bound(results: Results) -> str:
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
     return (
         f"`{OPTIMUM_POLICY}`, the full-information optimum, knows all disturbances in advance and optimises the\n"
-        f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the case.\n"
+        f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the cell.\n"
         f"Policies with an error smaller by more than {1e3 * ROUNDING:g} mm: {names}.\n"
-        f"Of all other policies `{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases."
+        f"Of all other policies `{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cells."
     )
 
 

@@ -33,7 +33,9 @@ from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 
 ROOT = Path(__file__).parents[2]
-PAGE, SUBMIT = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("programs.md", "enter.md"))
+PAGE, TUTORIAL = (
+    (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("programs.md", "tutorials/controller.md")
+)
 PYTHON = shlex.quote(sys.executable)
 COMPILED = ("cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "my_controller", "my_controller.c", "-lm")
 EXAMPLES = {
@@ -56,7 +58,7 @@ TELL = "    print(json.dumps(answer), flush=True)\n"
 
 def written():
     """Write the named blocks of the pages into the working directory."""
-    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE + SUBMIT, re.MULTILINE | re.DOTALL):
+    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE + TUTORIAL, re.MULTILINE | re.DOTALL):
         if name := re.match(r"(?:#|//|/\*) (\w+\.\w+)", text):
             Path(name[1]).write_text(text, encoding="utf-8")
 
@@ -98,7 +100,7 @@ def test_the_examples_equal_the_class(name):
         subprocess.run(COMPILED, check=True)
     scenario = PRESETS["cruise-storm"]
     episodes = drawn(scenario, 4, seed=0).episodes
-    expected, found = (rollout(make_policy(p), scenario, episodes) for p in ("my_controller.py:Controller", name))
+    expected, found = (rollout(make_policy(p), scenario, episodes) for p in ("line_of_sight.py:LineOfSight", name))
     np.testing.assert_allclose(found.measures.steady_rmse, expected.measures.steady_rmse, rtol=1e-5)
     np.testing.assert_allclose(found.measures.effort, expected.measures.effort, rtol=1e-5)
     assert found.decision_seconds > 0

@@ -41,8 +41,11 @@ from research.leaderboard.board import boards, enter, stamp
 from research.leaderboard.page import NBSP, leaderboard_page, plain
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCKS, WRITTEN = (
+    FENCE.findall((ROOT / "docs" / name).read_text(encoding="utf-8"))
+    for name in ("enter.md", "tutorials/controller.md")
+)
 LINES = [line for language, text in BLOCKS if language == "bash" for line in text.splitlines()]
 QUICK = {"--episodes": "1", "--share": "1"}
 """Options of the commands on the page that have other values in this test."""
@@ -71,9 +74,8 @@ def small(suite, rows, tmp_path, monkeypatch):
         monkeypatch.setattr(module, "load_suite", lambda _: suite)
     monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found(rows, {}))
     monkeypatch.chdir(tmp_path)
-    for language, text in BLOCKS:
-        if language == "python":
-            Path(text.split("\n", 1)[0].removeprefix("# ")).write_text(text, encoding="utf-8")
+    text = next(text for _, text in WRITTEN if text.startswith("# line_of_sight.py"))
+    Path("line_of_sight.py").write_text(text, encoding="utf-8")
 
 
 @pytest.fixture
@@ -110,21 +112,21 @@ def test_commands_of_the_tutorial(capsys):
     for line in LINES:
         assert typed(line) == DONE, line
     out = capsys.readouterr().out
-    assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST_SUBMISSION
+    assert Path("runs/evaluate/line-of-sight.npz").stat().st_size < LARGEST_SUBMISSION
     assert "Reproduced: all 24 numbers" in out
     assert "6 of 6 episodes again, chosen by --seed" in out
     results = json.loads(Path("runs/evaluate/results.json").read_text())
     [found] = boards(Path("leaderboard"))
     assert found.suite.hash == results["suite_hash"]
-    own = {row["speed_range"]: row for row in results["pooled"] if row["policy"] == "my_controller.py:Controller"}
+    own = {row["speed_range"]: row for row in results["pooled"] if row["policy"] == "line_of_sight.py:LineOfSight"}
     assert [entry.place for entry in found.entries] == ["slow", "cruise"]
     for entry in found.entries:
-        assert entry.policy == "my-controller"
+        assert entry.policy == "line-of-sight"
         assert entry.score.mean == pytest.approx(own[entry.place]["score"]["mean"], rel=1e-5)
         assert entry.failed == own[entry.place]["failed"]
-    assert found.verified["my-controller"]["episodes"] >= 2
+    assert found.verified["line-of-sight"]["episodes"] >= 2
     text = Path("docs/leaderboard.md").read_text()
-    assert "| 1 | `my-controller`<br>Ada |" in text
+    assert "| 1 | `line-of-sight`<br>Ada |" in text
 
 
 @pytest.mark.usefixtures("small")

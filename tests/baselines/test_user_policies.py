@@ -31,7 +31,7 @@ from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
 from baselines.training.config import Config
 
-PAGE = (Path(__file__).parents[2] / "docs" / "enter.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "tutorials" / "controller.md").read_text(encoding="utf-8")
 COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")
 
 
@@ -39,9 +39,9 @@ COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out"
 def example(tmp_path, monkeypatch):
     """The module of the documentation, in the working directory."""
     monkeypatch.chdir(tmp_path)
-    text = re.search(r"^```python\n(# my_controller.py\n.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
-    (tmp_path / "my_controller.py").write_text(text)
-    return re.search(r"--policy (my_controller.py:\w+) --scenario", PAGE)[1]
+    text = re.search(r"^```python\n(# line_of_sight.py\n.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
+    (tmp_path / "line_of_sight.py").write_text(text)
+    return re.search(r"--policy (line_of_sight.py:\w+) --scenario", PAGE)[1]
 
 
 def test_documented_module(example, tmp_path):
@@ -68,7 +68,7 @@ def test_a_file_runs_as_if_imported(tmp_path, monkeypatch):
 
 
 def test_factory_takes_options(example):
-    assert make_policy("my_controller.py:Controller", ahead=7.0).ahead == 7.0
+    assert make_policy("line_of_sight.py:LineOfSight", ahead=7.0).ahead == 7.0
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_factory_takes_options(example):
     [
         ("missing.py:f", "cannot read missing.py"),
         ("missing.zip", "cannot read missing.zip"),
-        ("my_controller.py:nothing", "no function or class 'nothing'"),
-        ("my_controller.py:np", "no function or class 'np'"),
+        ("line_of_sight.py:nothing", "no function or class 'nothing'"),
+        ("line_of_sight.py:np", "no function or class 'np'"),
         ("broken.py:f", "broken.py cannot be imported: SyntaxError"),
         ("other.py:fails", "fails of other.py fails: KeyError"),
         ("other.py:number", "has no method predict"),

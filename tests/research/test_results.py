@@ -131,6 +131,17 @@ def _failed_in(results, scenario, policy):
     return has_failed(run.measures, error_cap(scenario))
 
 
+def test_where_the_agents_are_behind(suites):
+    """As docs/results.md says: dead reckoning in slow motion, and long outages of the position fix."""
+    deep = [case for name, case in suites["deep-v1"].cases.items() if name.startswith("slow")]
+    own, law = (np.mean([case[policy].steady_rmse.mean() for case in deep]) for policy in ("helm-any", "backstepping"))
+    assert own > law
+    faults = read_json(FAULTS_FILE)
+    failed = {p: sum(faults[p][f"{r}-long-outages"]["failed"] for r in ("slow", "cruise")) for p in (AGENT, "nmpc")}
+    assert failed["nmpc"] == 0
+    assert failed[AGENT] > 40  # of 80
+
+
 def test_helm_any_in_the_suite_that_was_secret(suites):
     """It is level with `nmpc` and behind `nmpc-adverse`, and fails with slow actuators."""
     opened = suites["sealed-v2"]
