@@ -26,6 +26,7 @@ from baselines.evaluation.score import (
     error_cap,
     fixed,
     fixed_ends,
+    has_failed,
     paired,
     relative_error,
     speed_range_of,
@@ -124,6 +125,7 @@ def context(_: str = "") -> dict[str, Any]:
         "figure": _FIGURE,
         "optimum": OPTIMUM_POLICY,
         "better": better_than_optimum(results)[:1],
+        "avoidable": [(p, pairs[p].failed, avoidable_failures(pairs, p)) for p in (AGENT, RIVAL)],
     }
 
 
@@ -148,6 +150,16 @@ def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]
             " / ".join(f"{1e6 * time:.3g}" for time in times),
         ])  # fmt: skip
     return rows
+
+
+def avoidable_failures(pairs: Mapping[str, Pair], policy: str) -> int:
+    """Return the number of failures of a policy in episodes in which another controller does not fail."""
+    others = [pair for name, pair in pairs.items() if name in POLICIES and name not in (policy, *FULL_INFORMATION)]
+    count = 0
+    for cell, measures in pairs[policy].own.items():
+        unavoidable = np.logical_and.reduce([has_failed(pair.own[cell], error_cap(cell)) for pair in others])
+        count += int((has_failed(measures, error_cap(cell)) & ~unavoidable).sum())
+    return count
 
 
 def _decision_time(results: Results, policy: str, vehicle: str) -> float:

@@ -234,6 +234,15 @@ def test_the_page_agrees_with_its_rows(suite):
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
 
 
+def test_failures_in_which_another_controller_succeeds():
+    """Errors of three episodes; the error cap is 2 m."""
+    errors = {"helm-any": (3, 3, 1), "nmpc": (3, 1, 1), "ekf": (3, 3, 3), "clairvoyant": (0, 0, 0)}
+    pairs = {
+        p: vehicles.Pair({"cruise-storm@otter": measures(np.array(own, dtype=float))}, {}) for p, own in errors.items()
+    }
+    assert [vehicles.avoidable_failures(pairs, policy) for policy in ("helm-any", "nmpc", "ekf")] == [1, 0, 2]
+
+
 def test_no_recorded_policy_is_better_than_the_optimum(suite):
     found = recorded.load_recorded(suite)
     assert found.refused == {}
