@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import install
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.policy import Policy
 from baselines.agents.names import shipped_agents
@@ -25,7 +24,7 @@ from baselines.evaluation.score import Score, capped, error_cap, lead, speed_ran
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, check_words, parse
+from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.files import json_text, write_atomically
 from research.deployment.emulator import emulated
 from research.deployment.page import MEASURED_FILE
@@ -161,17 +160,14 @@ def main(arguments: Sequence[str]) -> int:
     """Measure agents and return the exit status.
 
     Raises:
-        UsageError: the arguments are invalid, or a library is missing.
+        UsageError: the arguments are invalid.
         OSError: a compiler or the emulator is missing.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, shipped_agents())
     found = []
     for name in options.name:
-        try:
-            found.append(_measured(name, options.episodes))
-        except ImportError:
-            raise UsageError(f"the measurement needs ONNX: {install('export')}") from None
+        found.append(_measured(name, options.episodes))
         last = found[-1]
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions", flush=True)
     record = {"episodes": options.episodes, "agents": [asdict(measured) for measured in found]}

@@ -17,6 +17,7 @@ MEASURED_FILE = DATA / "deployment.json"
 def agreement_section() -> str:
     """Return the table of the largest differences of commands and of the loss of score with int8 weights."""
     heads = ("agent", "ONNX", "header", "score", "loss with int8", "interval")
+    record = read_json(MEASURED_FILE)
     rows = [
         (
             a["name"],
@@ -25,11 +26,9 @@ def agreement_section() -> str:
             fixed(a["lost8"][0], 4),
             fixed_ends(a["lost8"][1:], 4),
         )
-        for a in _agents()
+        for a in record["agents"]
     ]
-    return (
-        f"Scores are of the first {read_json(MEASURED_FILE)['episodes']} episodes of each cell.\n\n{table(heads, rows)}"
-    )
+    return f"Scores are of the first {record['episodes']} episodes of each cell.\n\n{table(heads, rows)}"
 
 
 def speed_section() -> str:

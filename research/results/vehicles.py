@@ -136,7 +136,7 @@ def vehicles_of(results: Results) -> list[str]:
 
 def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]:
     """Return for each vehicle how the agent and the optimum compare with the controller of the smallest error."""
-    rows, controllers = [], [policy for policy in pairs if policy in POLICIES and policy not in FULL_INFORMATION]
+    rows, controllers = [], _controllers(pairs)
     for vehicle in vehicles_of(results):
         own = {policy: pair.on(vehicle) for policy, pair in pairs.items()}
         errors = {policy: own[policy].error.mean for policy in controllers}
@@ -152,9 +152,14 @@ def vehicle_rows(pairs: Mapping[str, Pair], results: Results) -> list[list[str]]
     return rows
 
 
+def _controllers(pairs: Mapping[str, Pair]) -> list[str]:
+    """Return the policies that are controllers and use measurements only."""
+    return [policy for policy in pairs if policy in POLICIES and policy not in FULL_INFORMATION]
+
+
 def avoidable_failures(pairs: Mapping[str, Pair], policy: str) -> int:
     """Return the number of failures of a policy in episodes in which another controller does not fail."""
-    others = [pair for name, pair in pairs.items() if name in POLICIES and name not in (policy, *FULL_INFORMATION)]
+    others = [pairs[name] for name in _controllers(pairs) if name != policy]
     count = 0
     for cell, measures in pairs[policy].own.items():
         unavoidable = np.logical_and.reduce([has_failed(pair.own[cell], error_cap(cell)) for pair in others])

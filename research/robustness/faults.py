@@ -15,9 +15,10 @@ from tyro.conf import arg
 from baselines.agents.names import CHECKED, GUARD
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.progress import run_and_show
+from baselines.evaluation.recorded import speed_ranges_of
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
+from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres, speed_range_of
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -66,6 +67,8 @@ def main(arguments: Sequence[str]) -> int:
 def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options) -> None:
     """Run policies in the first episodes of cells, and add failures and errors to the file of the options.
 
+    Agents for one speed range run in the cells of that range only.
+
     Raises:
         UsageError: the options are invalid, or a policy fails with an error.
     """
@@ -74,7 +77,9 @@ def record_runs(policies: Sequence[str], cells: Sequence[Cell], options: Options
     own = [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in cells]
     checked_folder(options.out.parent)
     for policy in checked_policies(policies):
-        runs = run_and_show([(policy, cell) for cell in own], Workers(options.jobs))
+        speed_ranges = speed_ranges_of(policy)
+        pairs = [(policy, cell) for cell in own if speed_range_of(cell.scenario.name) in speed_ranges]
+        runs = run_and_show(pairs, Workers(options.jobs))
         add_rows(options.out, policy, fingerprint(policy), {run.scenario.name: _row(run) for run in runs})
 
 

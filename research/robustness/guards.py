@@ -10,7 +10,6 @@ from typing import Annotated
 from tyro.conf import arg
 
 from baselines.agents.names import GUARD
-from baselines.evaluation.recorded import speed_ranges_of
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import read_json
@@ -45,9 +44,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
-    for policy in options.policy:
-        cells = [cell for suite in SUITES for cell in load_suite(suite).cells_in(speed_ranges_of(policy))]
-        faults.record_runs([policy, f"{policy}{GUARD}"], cells, options)
+    cells = [cell for suite in SUITES for cell in load_suite(suite).cells]
+    faults.record_runs([name + end for name in options.policy for end in ("", GUARD)], cells, options)
     return DONE
 
 
@@ -57,8 +55,8 @@ def compared() -> list[list[str]]:
     table = []
     for policy in (name for name in record if not name.endswith(GUARD)):
         for suite in SUITES:
-            names = [cell.scenario.name for cell in load_suite(suite).cells_in(speed_ranges_of(policy))]
-            sides = [[record[p][name] for name in names] for p in (policy, f"{policy}{GUARD}")]
+            names = [cell.scenario.name for cell in load_suite(suite).cells]
+            sides = [[record[p][name] for name in names if name in record[p]] for p in (policy, f"{policy}{GUARD}")]
             episodes = sum(row["episodes"] for row in sides[0])
             table.append([f"`{policy}`", suite, str(episodes), faults.both(sides)])
     return table

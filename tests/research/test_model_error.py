@@ -80,23 +80,19 @@ def test_wrong_usage(arguments, says, capsys):
     assert error.count("\n") == 1
 
 
-@pytest.mark.slow
-def test_recorded_errors_are_reproduced():
-    """Mean errors in still water, with the true model and over the wrong ones."""
+@pytest.mark.parametrize("wrong", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_recorded_errors_are_reproduced(wrong):
+    """Mean errors in still water, with the true model or over the wrong ones."""
     kept = read_json(model_error.MODEL_ERROR_FOLDER / "helm-any.json")["cruise"]
     cell = model_error.cells_of("cruise", kept["episodes"])[0]
-    wrong, size = model_error.PARAMETER_SETS["ratios"], model_error.ERROR_SIZES[-1]
-    models = [
-        model_error.wrong_model(cell.scenario.vehicle, model_error.model_errors(k), size, wrong)
-        for k in range(model_error._MODELS)
-    ]
+    models, errors = [cell.scenario.vehicle], kept["right"]["error_m"]
+    if wrong:
+        chosen, size = model_error.PARAMETER_SETS["ratios"], model_error.ERROR_SIZES[-1]
+        drawn = [model_error.model_errors(k) for k in range(model_error._MODELS)]
+        models = [model_error.wrong_model(cell.scenario.vehicle, each, size, chosen) for each in drawn]
+        errors = kept["wrong"]["ratios"][-1]["error_m"]
     episodes = SideBySide([cell])
-    for vehicles, error in (
-        ([cell.scenario.vehicle], kept["right"]["error_m"][0]),
-        (models, kept["wrong"]["ratios"][-1]["error_m"][0]),
-    ):
-        found = [
-            episodes.run(model_error.policy_with("helm-any", vehicle))[0].steady_rmse.clip(max=2.0)
-            for vehicle in vehicles
-        ]
-        assert np.mean(found) == pytest.approx(error, rel=1e-2)
+    found = [
+        episodes.run(model_error.policy_with("helm-any", vehicle))[0].steady_rmse.clip(max=2.0) for vehicle in models
+    ]
+    assert np.mean(found) == pytest.approx(errors[0], rel=1e-2)

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -27,8 +28,6 @@ from baselines.tools.command_line import run
 from baselines.tools.files import read_json
 from research.robustness import failure_rate, guards
 from research.seeds import FAILURE_RATE
-
-SEALED = {cell.scenario.name for cell in suites.load_suite("sealed-v2").cells}
 
 
 def observed(**terms):
@@ -236,6 +235,30 @@ def test_after_the_handover_the_commands_are_those_of_the_fallback_bit_for_bit()
     assert taken > 40
 
 
+def test_a_quick_form_of_the_command(tmp_path, monkeypatch):
+    """One case of each speed range in which the agent runs with and without a guard, against rollouts."""
+    suite = suites.load_suite("sealed-v2")
+    few = replace(suite, cells=tuple(cell for cell in suite.cells if cell.scenario.name.endswith("-slew")))
+    monkeypatch.setattr(guards, "SUITES", ("few",))
+    monkeypatch.setattr(guards, "load_suite", lambda _: few)
+    out, policy = tmp_path / "guards.json", "apg-preview-cruise"
+    words = ["--policy", policy, "--episodes", "2", "--jobs", "1", "--out", str(out)]
+    assert run(guards.main, guards.PROGRAM, words) == 0
+    record = read_json(out)
+    cell = next(cell for cell in few.cells if cell.scenario.name == "cruise-slew")
+    for name in (policy, f"{policy}:guard"):
+        assert set(record[name]) == {"fingerprint", "cruise-slew"}  # not in slow motion
+        found = rollout(make_policy(name), cell.scenario, cell.episodes[:2]).measures
+        failed = found.failed | (found.steady_rmse >= 2.0)
+        row = record[name]["cruise-slew"]
+        assert (row["episodes"], row["failed"]) == (2, failed.sum())
+        assert row["error_mm"] == pytest.approx(1e3 * np.where(failed, 2.0, found.steady_rmse).mean(), abs=0.01)
+    monkeypatch.setattr(guards, "GUARDS_FILE", out)
+    ((agent, _, episodes, text),) = guards.compared()
+    assert (agent, episodes) == (f"`{policy}`", "2")
+    assert text.startswith(f"{record[policy]['cruise-slew']['failed']}; ")
+
+
 def test_the_reference_policy_does_not_fail():
     """As docs/metrics.md says."""
     failed, episodes, _ = failure_rate.total(failure_rate.failure_counts()["clairvoyant"]["counts"].values())
@@ -251,8 +274,9 @@ def test_recorded_rows_belong_to_the_present_policies():
 
 def test_a_guard_helps_an_agent_that_was_not_trained_on_rate_limits_and_not_helm():
     """As docs/safety.md says, in sealed-v2."""
+    sealed = {cell.scenario.name for cell in suites.load_suite("sealed-v2").cells}
     failed = {
-        policy: sum(row["failed"] for name, row in rows.items() if name in SEALED)
+        policy: sum(row["failed"] for name, row in rows.items() if name in sealed)
         for policy, rows in read_json(guards.GUARDS_FILE).items()
     }
     assert failed["apg-preview-cruise"] > failed["apg-preview-cruise:guard"]

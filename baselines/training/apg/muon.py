@@ -42,17 +42,21 @@ class Muon(torch.optim.Optimizer):
             for p in group["params"]:
                 if p.grad is None:
                     continue
-                mean = self.state[p].setdefault("momentum_buffer", torch.zeros_like(p))
+                state = self.state[p]
+                if not state:
+                    state["momentum_buffer"] = torch.zeros_like(p)
+                mean = state["momentum_buffer"]
                 mean.lerp_(p.grad, 1 - momentum)
                 p.mul_(1 - lr * group["weight_decay"])
-                p.sub_(orthogonalised(p.grad.lerp(mean, momentum)), alpha=lr * math.sqrt(max(1.0, len(p) / len(p.T))))
+                rows, columns = p.shape
+                p.sub_(orthogonalised(p.grad.lerp(mean, momentum)), alpha=lr * math.sqrt(max(1.0, rows / columns)))
 
 
 def orthogonalised(matrix: Tensor) -> Tensor:
     """Return a matrix with the singular vectors of a given one, and with singular values of about 1 (0.7 to 1.2)."""
     a, b, c = _COEFFICIENTS
     x = matrix / matrix.norm().clamp(min=_LEAST_NORM)
-    tall = len(x) > len(x.T)
+    tall = x.shape[0] > x.shape[1]
     wide: Tensor = x.T if tall else x
     for _ in range(_ITERATIONS):
         square = wide @ wide.T
