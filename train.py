@@ -2,7 +2,7 @@
 
 import sys
 
-from baselines.__main__ import COMMANDS, call
+from baselines.__main__ import COMMANDS, call, end
 
 if __name__ == "__main__":
-    sys.exit(call(COMMANDS["train"], sys.argv[1:], "train.py"))
+    end(call(COMMANDS["train"], sys.argv[1:], "train.py"))

@@ -48,7 +48,7 @@ def _register() -> None:
         (
             "UnderactuatedAUVTrack",
             "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
-            "auv_gym.envs:make_track_vector_env",
+            "auv_gym.envs.track_vector_env:UnderactuatedAUVTrackVectorEnv",
         ),
         (
             "UnderactuatedAUVTrackResidual",

@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 DISTRIBUTION = "auv-gym"
 """Name of the distribution."""
 ROOT = Path(__file__).parents[1]
 """Folder of the packages: a checkout, or `site-packages` of an environment."""
-RECORD = ROOT / "research" / "data"
-"""Folder of the measurements and trained agents of studies; only a checkout has it."""
-
-
-def found(folder: Path, name: str) -> Path:
-    """Return a file of a folder of the package, or of the folder of the same name in `RECORD` if only that has it."""
-    other = RECORD / folder.name / name
-    kept = folder.is_relative_to(ROOT) and other.exists() and not (folder / name).exists()
-    return other if kept else folder / name
-
-
-def checkout() -> Path | None:
-    """Return the folder of the checkout that this code runs from; None for an installed package."""
-    return ROOT if (ROOT / "pyproject.toml").is_file() else None
 
 
 def install(*extras: str) -> str:
@@ -33,8 +18,8 @@ def install(*extras: str) -> str:
         extras: names of `[project.optional-dependencies]` in pyproject.toml.
     """
     names = ",".join(extras)
-    if (folder := checkout()) is not None:
-        return f"pip install -e '{'.' if folder == Path.cwd() else folder}[{names}]'"
+    if (ROOT / "pyproject.toml").is_file():  # a checkout
+        return f"pip install -e '{'.' if Path.cwd() == ROOT else ROOT}[{names}]'"
     origin = _origin()
     return f"pip install '{DISTRIBUTION}[{names}]{f' @ {origin}' if origin else ''}'"
 
@@ -50,18 +35,3 @@ def _origin() -> str:
     version = record.get("vcs_info", {})
     prefix, at = (f"{version['vcs']}+", f"@{version['commit_id']}") if version else ("", "")
     return f"{prefix}{record['url']}{at}" if "url" in record else ""
-
-
-def sources() -> str:
-    """Return the location of the sources of this version: the folder of a checkout, else the address of the project."""
-    if (folder := checkout()) is not None:
-        return os.fspath(folder)
-    from importlib import metadata
-
-    urls = metadata.metadata(DISTRIBUTION).get_all("Project-URL") or []
-    return next((url.split(", ", 1)[1] for url in urls if url.startswith("Source, ")), DISTRIBUTION)
-
-
-def left_out(what: str) -> str:
-    """Return the message that something is not part of the installed package, with the location of the sources."""
-    return f"{what} not part of the installed package; the sources have them: {sources()}"

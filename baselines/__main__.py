@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import ast
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import auv_gym
 from auv_gym.installation import ROOT, install
 
 PROGRAM = "auv-gym"
-PACKAGES = ("auv_gym", "baselines", "research")
+OWN_PACKAGES = ("auv_gym", "baselines", "research")
 """The project's own packages: a missing module of theirs is an error, not a missing extra."""
 _WRONG_USAGE = 2  # exit status, as in `command_line`, which cannot be imported without an extra
 
@@ -27,14 +28,13 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "evaluate": Command("baselines.evaluation.entry", "eval"),
-    "train": Command("baselines.training.entry", "train"),
+    "evaluate": Command("baselines.evaluation.command", "eval"),
+    "train": Command("baselines.training.command", "train"),
     "tune": Command("baselines.tuning.command", "tuning"),
     "identify": Command("baselines.identification.command", "eval"),
     "export": Command("baselines.export.command", "export"),
-    "submit": Command("baselines.evaluation.submission.command", "eval"),
+    "verify": Command("baselines.evaluation.verify", "eval"),
     "video": Command("baselines.video.command", "eval,render"),
-    "dataset": Command("baselines.datasets", "data,eval"),
 }
 """The commands by name."""
 
@@ -52,8 +52,8 @@ def call(command: Command, arguments: Sequence[str], program: str) -> int:
 
         return run(import_module(command.module).main, program, arguments)
     except ModuleNotFoundError as error:
-        missing = (error.name or PACKAGES[0]).partition(".")[0]
-        if missing in PACKAGES:
+        missing = (error.name or OWN_PACKAGES[0]).partition(".")[0]
+        if missing in OWN_PACKAGES:
             raise
         print(f"{program} needs {missing}: {install(command.extras)}", file=sys.stderr)
         return _WRONG_USAGE
@@ -96,5 +96,16 @@ def main(commands: Mapping[str, Command] = COMMANDS) -> int:
     return _WRONG_USAGE
 
 
+def end(status: int) -> NoReturn:
+    """End this process with an exit status; nothing is left to interrupt."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(status)
+
+
+def script() -> NoReturn:
+    """Run the command of this process, and end it."""
+    end(main())
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    script()

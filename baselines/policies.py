@@ -12,16 +12,15 @@ from auv_gym.task.policy import Policy
 from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import COMMAND, FADING, agent_folder, checked_name, guarded_name, is_path, shipped_agents
+from baselines.agents.names import PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
-from baselines.policy import Privileged
 from baselines.scaling import scaled_for
 
 
 def list_policies() -> dict[str, str]:
     """Return a one-line description of each policy, by its name."""
-    agents = dict.fromkeys(shipped_agents(), "a trained agent, described in its card.md")
-    return {name: text for name, (_, _, text) in POLICIES.items()} | agents
+    agents = dict.fromkeys(shipped_agents(), "a trained agent, described in its agent.json")
+    return {name: entry.about for name, entry in POLICIES.items()} | agents
 
 
 def make_policy(
@@ -30,9 +29,8 @@ def make_policy(
     """Return a policy by name or path.
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
-    cannot: a FILE.onnx, and the folder of a trained agent. The name or folder of an agent may end in `FADING`. Every
-    name but a command may end in `GUARD`, which may be followed by "=" and the name of the fallback policy, and then in
-    `CHECKED`, all of `baselines.agents.names`.
+    cannot: a FILE.onnx, and the folder of a trained agent. Every name but a command may end in ":guard", which may be
+    followed by "=" and the name of the fallback policy, and then in ":checked", see `baselines.agents.names`.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
@@ -46,27 +44,26 @@ def make_policy(
         OSError: the file cannot be read.
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
-    if (inner := checked_name(name)) is not None:
+    parts = PolicyName.of(name)
+    if parts.checked:
+        inner = name.removesuffix(":checked")
         return scaled_for(vehicle, lambda known: Checked(make_policy(inner, known, **options), known))
-    if (parts := guarded_name(name)) is not None:
-        guarded, fallback_name = parts
+    if (fallback := parts.fallback) is not None:
 
-        def make_guarded(known: Any) -> Policy:
-            fallback = make_policy(fallback_name, known) if fallback_name else bounded_law(known)
-            return Guarded(make_policy(guarded, known, **options), fallback, known)
+        def guarded(known: Any) -> Policy:
+            simple = make_policy(fallback, known) if fallback else bounded_law(known)
+            return Guarded(make_policy(parts.base, known, **options), simple, known)
 
-        return scaled_for(vehicle, make_guarded)
-    if name.endswith(FADING) and not name.startswith(COMMAND):
-        return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
-    if is_path(name) or agent_folder(name) is not None:
-        return load_policy(name, vehicle, **options)
+        return scaled_for(vehicle, guarded)
+    if parts.kind != "controller":
+        return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
         known = ", ".join(list_policies())
         raise ValueError(
             f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, an "
             "agent's folder or cmd:COMMAND"
         )
-    if isinstance(POLICIES[name][0], Privileged):
+    if POLICIES[name].privileged:
         return make_controller(name, vehicle, **options)
     return scaled_for(vehicle, lambda known: make_controller(name, known, **options))
 

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.vector import VectorEnv
 
-from auv_gym.envs import make_track_vector_env
+from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
-from auv_gym.envs.sub_environments import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.envs.vector_api import VectorEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.rendering import PICTURE
-from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, preview_of
 from baselines.policies import common_vehicle, make_policy
 from baselines.policy import Privileged
 
 
 def make_residual_env(
-    scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+    scenario: ScenarioLike = "paper-circle",
+    vehicle: VehicleLike | None = None,
     control_dt: float | None = None,
     render_mode: str | None = None,
     expert: Policy | str = "backstepping",
@@ -34,21 +31,24 @@ def make_residual_env(
     """Return the environment of `UnderactuatedAUVTrackResidual-v0`: the tracking task with corrections to an expert.
 
     Args:
-        scenario: a `Scenario`, its dict, or a preset's name.
-        vehicle: the known vehicle, in place of the scenario's.
-        control_dt: control period [s], in place of the scenario's.
-        render_mode: None, "human" or "rgb_array".
+        scenario: see `UnderactuatedAUVTrackEnv`.
+        vehicle: see `UnderactuatedAUVTrackEnv`.
+        control_dt: see `UnderactuatedAUVTrackEnv`.
+        render_mode: see `UnderactuatedAUVTrackEnv`.
         expert: a policy, or the name of one, which is then made for the known vehicle; the observation has the preview
             that it needs.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
-        render_size: width and height of pictures [px].
+        render_size: see `UnderactuatedAUVTrackEnv`.
 
     Raises:
         OSError: the expert's file cannot be read.
         ValueError: scenario, vehicle, control period, render mode or size, expert or authority is invalid.
     """
-    policy = _expert(expert, changed(as_scenario(scenario), vehicle).vehicle)
-    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy), render_size)
+    (scenario,) = scenarios_of(scenario, 1, vehicle, control_dt)
+    policy = _expert(expert, scenario.vehicle)
+    env = UnderactuatedAUVTrackEnv(
+        scenario, render_mode=render_mode, preview=preview_of(policy), render_size=render_size
+    )
     return ResidualAction(env, policy, authority)
 
 
@@ -59,40 +59,33 @@ make_residual_env.metadata = UnderactuatedAUVTrackEnv.metadata  # type: ignore[a
 def make_residual_vector_env(
     num_envs: int = 1,
     scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+    vehicle: VehicleLike | None = None,
+    control_dt: float | None = None,
     *,
     expert: Policy | str = "backstepping",
     authority: float | Sequence[float] = 0.5,
-    backend: str = "numpy",
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
 
     Args:
-        num_envs: N, the number of vehicles.
-        scenario: a `Scenario`, its dict, a preset's name, or a sequence of N of them.
-        vehicle: the known vehicle, in place of the scenarios'.
-        expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same;
-            with backend "torch" a law that computes on tensors.
+        num_envs: see `UnderactuatedAUVTrackVectorEnv`.
+        scenario: see `UnderactuatedAUVTrackVectorEnv`.
+        vehicle: see `UnderactuatedAUVTrackVectorEnv`.
+        control_dt: see `UnderactuatedAUVTrackVectorEnv`.
+        expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
-        backend: "numpy" for arrays of float64, or "torch" for tensors.
-        options: further options of `auv_gym.envs.make_track_vector_env`, without the preview, which is the expert's.
+        options: further options of `UnderactuatedAUVTrackVectorEnv`, without the preview, which is the expert's.
 
     Raises:
-        ImportError: the back end is "torch", and torch is not installed.
         OSError: the expert's file cannot be read.
         TypeError: there is no such option.
         ValueError: an argument is invalid.
     """
-    given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
-    known = common_vehicle([changed(as_scenario(s), vehicle) for s in given])
-    policy: Any = _expert(expert, known)
-    env = make_track_vector_env(num_envs, scenario, vehicle, backend=backend, preview=preview_of(policy), **options)
-    if backend == "numpy":
-        return VectorResidualAction(env, policy, authority)
-    from auv_gym.envs.torch_residual import TorchResidualAction
-
-    return TorchResidualAction(env, policy, authority)  # type: ignore[arg-type]
+    scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
+    policy = _expert(expert, common_vehicle(scenarios))
+    env = UnderactuatedAUVTrackVectorEnv(num_envs, scenarios, preview=preview_of(policy), **options)
+    return VectorResidualAction(env, policy, authority)
 
 
 def _expert(expert: Policy | str, vehicle: Vehicle | None) -> Policy:

@@ -8,6 +8,8 @@ in them, therefore has gains that are functions of the vehicle. Actions are frac
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -80,27 +82,30 @@ class ScaledPolicy(Batched):
         return self.policy.predict(scaled, state, episode_start, deterministic)
 
 
+@dataclass(frozen=True)
 class ScaledLaw(Law):
     """A control law in the paper's units as a control law in SI units.
 
     Args:
-        law: the law in the paper's units, also the attribute `policy`.
+        policy: the law in the paper's units.
         units: units of the vehicle.
     """
 
-    def __init__(self, law: Law, units: Units) -> None:
-        self.policy, self.units = law, units
-        self._factors = shown_factors(units)
-        self._force, self._torque = (units.factor(*POWERS[unit]) for unit in ("N", "N m"))
+    policy: Law
+    units: Units
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
         """Return F_u [N], F_r [N m] for a `task.Observation` in SI units, or its terms in that order."""
         F_u, F_r = self.policy.forces(self._scaled(o), ns)
-        return F_u * self._force, F_r * self._torque
+        return F_u * self.units.factor(*POWERS["N"]), F_r * self.units.factor(*POWERS["N m"])
 
     def check(self, terms: Any) -> None:
         """Check an observation, its terms as a list or as rows, and warn if it is outside of the law's range."""
         self.policy.check(self._scaled(terms) if isinstance(terms, list) else np.array(self._scaled(terms)))
+
+    @cached_property
+    def _factors(self) -> list[float]:
+        return shown_factors(self.units)
 
     def _scaled(self, terms: Sequence[Number]) -> list[Number]:
         return [term * factor for term, factor in zip(terms, self._factors, strict=False)]

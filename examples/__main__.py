@@ -40,23 +40,22 @@ class Example:
 
 
 EXAMPLES = {
-    "sb3": Example("Stable-Baselines3, sb3-contrib", ("stable-baselines3", "sb3-contrib"), ()),
+    "sb3": Example("Stable-Baselines3, sb3-contrib", ("stable-baselines3", "sb3-contrib"), ("sb3-contrib",)),
     "rl_zoo": Example(
         "rl_zoo3", ("rl_zoo3",), ("rl_zoo3", "pandas<3", "requests"), alone="its commands need pandas < 3"
-    ),
-    "cleanrl": Example(
-        "CleanRL",
-        ("cleanrl",),
-        ("gymnasium==0.29.1", "tensorboard", "tyro", "stable-baselines3", "setuptools<81", "wandb"),
-        alone="its scripts need gymnasium < 1.0; the package's own pinned versions, of 2023, are left out",
-        unresolved=("cleanrl==1.2.0",),
     ),
     "torchrl": Example("TorchRL", ("torchrl", "tensordict"), ("torchrl",)),
     "skrl": Example("skrl", ("skrl",), ("skrl",)),
     "tianshou": Example("Tianshou", ("tianshou",), ("tianshou[eval]",), alone="it needs pandas < 3"),
     "rllib": Example("RLlib", ("ray",), ("ray[rllib]",), alone="it pins gymnasium 1.2.2"),
-    "minari": Example("Minari", ("minari",), ("minari[create]",), "train,data"),
-    "d3rlpy": Example("d3rlpy", ("d3rlpy", "minari"), ("d3rlpy",), "train,data", "it pins gymnasium 1.0.0"),
+    "minari": Example("Minari", ("minari",), ("minari[create,hdf5]",)),
+    "d3rlpy": Example(
+        "d3rlpy",
+        ("d3rlpy", "minari"),
+        ("click", "colorama", "dataclasses-json", "gym", "minari[create,hdf5]", "scikit-learn", "structlog"),
+        alone="it pins gymnasium 1.0.0, so its requirements are installed without it",
+        unresolved=("d3rlpy==2.8.1",),
+    ),
     "wandb": Example("Weights & Biases", ("wandb",), ("wandb",)),
     "optuna": Example("Optuna", ("optuna",), ("optuna",)),
     "onnxruntime": Example("ONNX Runtime", ("onnxruntime", "onnx"), (), "train,export"),

@@ -1,25 +1,22 @@
-"""d3rlpy: TD3+BC and IQL on a dataset of `auv-gym dataset`, scored by evaluate.py, and SAC online on both ids."""
+"""d3rlpy: TD3+BC and IQL on a dataset of Minari's DataCollector, scored by evaluate.py, and SAC online on both ids."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 os.environ["MINARI_DATASETS_PATH"] = str(Path("datasets").resolve())
 
 import d3rlpy
 import gymnasium as gym
-import minari
 import numpy as np
 import torch
-from common import IDS, figure, steady_error, steps, works
+from common import IDS, TRACK, figure, steady_error, steps, works
+from expert_dataset import expert_dataset
 from offline_policy import write_policy
 
 if __name__ == "__main__":
     d3rlpy.seed(0)
-    words = ("--scenario", "cruise-calm", "--episodes", str(steps(40, 4)), "--noise", "0", "0.1", "--out", "datasets")
-    subprocess.run([sys.executable, "-m", "baselines", "dataset", *words, "--id", "auv_gym/offline-v0"], check=True)
-    episodes = list(minari.load_dataset("auv_gym/offline-v0").iterate_episodes())
+    recorded = expert_dataset(TRACK, "auv_gym/offline-v0", steps(40, 4), (0.0, 0.1))
+    episodes = list(recorded.iterate_episodes())
     length = {len(e.actions) for e in episodes}
     dataset = d3rlpy.dataset.MDPDataset(
         np.concatenate([e.observations[:-1] for e in episodes]).astype(np.float32),

@@ -1,4 +1,4 @@
-"""skrl: the runner trains PPO on the scalar, the native vector and the torch environments."""
+"""skrl: the runner trains PPO on the scalar and the native vector environments."""
 
 import gymnasium as gym
 import numpy as np
@@ -42,7 +42,6 @@ if __name__ == "__main__":
         for env in (
             gym.wrappers.DtypeObservation(gym.make(env_id), np.float32),  # skrl's networks have single precision
             gym.wrappers.vector.DtypeObservation(gym.make_vec(env_id, **vector, autoreset_mode="NextStep"), np.float32),
-            gym.make_vec(env_id, **vector, backend="torch"),
         ):
             wrapped = wrap_env(env, wrapper="gymnasium")
             runner = Runner(wrapped, configuration(steps(5000, 64)))
@@ -50,4 +49,4 @@ if __name__ == "__main__":
             runner.agent.save(f"agent_{count}.pt")
             runner.agent.load(f"agent_{count}.pt")
             count += 1
-    works("its runner trains PPO on the scalar, the native vector and the torch environment; both ids")
+    works("its runner trains PPO on the scalar and the native vector environment; both ids")

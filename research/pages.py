@@ -7,7 +7,7 @@ returns. Rendering is deterministic: a page that differs from its template and d
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import jinja2
 from tyro.conf import Positional, arg
 
+from baselines.evaluation.score import Score, fixed, fixed_ends
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.command_line import DONE, FAILED, UsageError, check_words, parse
 from baselines.tools.files import write_atomically
@@ -27,40 +28,39 @@ PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 120
 """Most characters in a line of prose."""
-SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v2")
-PAGES: Mapping[str, str] = {
+SUITE_PAGES = ("benchmark-v2", "sealed-v2")
+PAGES = {
     "results": "research.results.overview",
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
     "results/vehicles-v2": "research.results.vehicles",
     "results/learning": "research.results.learning",
     "results/faults": "research.robustness.faults",
-    "results/governed": "research.robustness.governed",
-    "safety": "research.robustness.page",
-    "transfer": "research.transfer.page",
-    "validation": "research.validation.page",
-    "speed": "research.throughput.measure",
+    "safety": "research.robustness.failure_rate",
+    "transfer": "research.transfer.comparison",
+    "validation": "research.validation.predictions",
     "sensitivity": "research.robustness.model_error",
 }
 """Module of each page: `context(page)` returns the values of its template; the optional `figures(page)` returns its
 figures as PNG, by name."""
-PARTS: Mapping[str, Mapping[str, str]] = {
-    "vehicles": {"published vehicles": "research.vehicles.tables:published_vehicles"},
+PARTS = {
+    "vehicles": {"published vehicles": "research.vehicles.gains:published_vehicles"},
+    "speed": {"speed": "research.speed:speed_section"},
     "vehicle-gains": {
-        "exponents": "research.vehicles.vehicles_page:exponents_section",
-        "gains": "research.vehicles.vehicles_page:gains_section",
+        "exponents": "research.vehicles.gains:exponents_section",
+        "gains": "research.vehicles.gains:gains_section",
     },
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "paper": {
-        "numbers": "research.paper.page:numbers_section",
-        "starts": "research.paper.page:starts_section",
-        "remarks": "research.paper.page:remarks_section",
+        "numbers": "research.paper.command:numbers_section",
+        "starts": "research.paper.command:starts_section",
+        "remarks": "research.paper.command:remarks_section",
     },
-    "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
+    "policies": {"tuned gains": "research.vehicles.gains:tuned_gains"},
     "export-cost": {
-        "agreement": "research.deployment.page:agreement_section",
-        "speed on a computer": "research.deployment.page:speed_section",
-        "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
+        "agreement": "research.deployment.measure:agreement_section",
+        "speed on a computer": "research.deployment.measure:latency_section",
+        "cost on a Cortex-M4": "research.deployment.measure:cortex_m4_section",
     },
 }
 """Pages that are written by hand except for some parts: the `module:function` that returns a part, by page and name."""
@@ -70,10 +70,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 class Options:
     """Write the pages of measurements from their templates and data.
 
-    Exit status: 0 done, 1 with --check a page is stale, 2 wrong usage.
+    Exit status: 0 done, 1 a page cannot be made, or with --check is stale, 2 wrong usage.
     """
 
-    page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]")] = ()
+    page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]", help_behavior_hint="")] = ()
     """Names of pages, such as results. Default: all."""
     check: bool = False
     """Write nothing; print which pages are stale."""
@@ -87,12 +87,18 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[Any]], right: bool = Tru
     return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
+def with_interval(value: Score) -> str:
+    """Return a ratio with its 95 % interval as text."""
+    return f"{fixed(value.mean, 2)} ({fixed_ends(value.ci95, 2)})"
+
+
 def render(page: str) -> str:
     """Return the text of a page, from its template and the measurements."""
     if page in PARTS:
         return _with_parts(page)
     context = import_module(PAGES[page]).context(page)
-    return _wrapped(fill(context.get("template", page), context))
+    template = _environment().get_template(f"{context.get('template', page)}.md.jinja")
+    return _wrapped(template.render(context))
 
 
 def _wrapped(text: str) -> str:
@@ -122,39 +128,28 @@ def _with_parts(page: str) -> str:
     return text
 
 
-def fill(template: str, values: Mapping[str, Any]) -> str:
-    """Return the text of templates/TEMPLATE.md.jinja, filled with values."""
-    return _environment().get_template(f"{template}.md.jinja").render(values)
-
-
 @cache
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
+        loader=jinja2.FileSystemLoader(TEMPLATES), undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, autoescape=False,
+    )  # fmt: skip
     environment.globals["table"] = table
     return environment
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write or check the pages and return the exit status.
-
-    Raises:
-        UsageError: the arguments are invalid, or recorded results are missing or outdated.
-    """
+    """Write or check the pages and return the exit status."""
     options = parse(Options, arguments, PROGRAM)
     check_words("page", options.page, (*PAGES, *PARTS))
-    stale = []
+    stale, missing = [], False
     for page in options.page or (*PAGES, *PARTS):
         try:
             text, file = render(page), options.out / f"{page}.md"
-        except SuiteError as error:
-            raise UsageError(f"page {page} cannot be made: {error}; python -m research suites --help") from error
+        except (SuiteError, UsageError) as error:
+            print(f"page {page} cannot be made: {error}", file=sys.stderr)
+            missing = True
+            continue
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             stale.append(page)
             if not options.check:
@@ -162,6 +157,7 @@ def main(arguments: Sequence[str]) -> int:
         if not options.check and page in PAGES and hasattr(module := import_module(PAGES[page]), "figures"):
             for name, png in module.figures(page).items():
                 write_atomically(options.out / "images" / name, png)
-    done = "stale" if options.check else "wrote"
-    print(f"{done}: {', '.join(stale)}" if stale else "all pages are up to date", file=sys.stdout)
-    return FAILED if stale and options.check else DONE
+    if stale or not missing:
+        done = "stale" if options.check else "wrote"
+        print(f"{done}: {', '.join(stale)}" if stale else "all pages are up to date")
+    return FAILED if missing or (stale and options.check) else DONE

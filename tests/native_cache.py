@@ -1,11 +1,15 @@
-"""What a process knows of compiled code, for tests of `auv_gym.codegen.native`."""
+"""Compiled code in tests of `auv_gym.codegen`."""
 
-from auv_gym.codegen import native
+from auv_gym.codegen import kernel, native
 
 
 def forget() -> None:
-    """Forget compilers, folders and libraries, as a new process."""
-    for function in (native.library, native.compiler):
-        function.cache_clear()
-    for found in (native._hung, native._refused, native._logged):
-        found.clear()
+    """Forget compilers, folders, libraries and kernels, as a new process."""
+    native.compiler.cache_clear()
+    for memory in (native._libraries, native._refused, native._logged, kernel._kernels):
+        memory.clear()
+
+
+def compiled(source: str):
+    """Return the library of a source, see `native.library`."""
+    return native.library(source, lambda: source)

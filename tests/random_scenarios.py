@@ -1,4 +1,4 @@
-"""Random scenarios of the whole schema, from one distribution: for hypothesis, which simplifies, and for a generator.
+"""Random scenarios of the whole schema, for hypothesis.
 
 Every field of every part takes random values: vehicle, path, disturbances, sensors, actuators, start, clock, reward.
 """
@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.faults import FAULTS, RandomFaults
+from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
 from auv_gym.physics.navigation import RandomReckoning
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.planning.governor import Governor
 from auv_gym.planning.paths import PATHS, Path, Spline
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
@@ -43,21 +42,6 @@ class Shrinking:
         return self._draw(st.sampled_from(options))
 
 
-class Generated:
-    """The same choices from a generator of NumPy."""
-
-    def __init__(self, rng):
-        self._rng = rng
-
-    def number(self, low, high):
-        """Return a float of an interval."""
-        return float(self._rng.uniform(low, high))
-
-    def of(self, options):
-        """Return one of several."""
-        return options[int(self._rng.integers(len(options)))]
-
-
 def interval(choose, low, high):
     """Return a number, or a pair of them in their order."""
     if choose.of((False, True)):
@@ -71,9 +55,10 @@ def either(choose, make):
     return choose.of((lambda: None, make))()
 
 
-def some(choose, **makers):
-    """Return some of the entries, by name; what is left out stays at its default."""
-    return {name: make() for name, make in makers.items() if choose.of((False, True))}
+def some(choose, intervals=(), **numbers):
+    """Return some of the entries between their bounds, by name, as intervals or numbers; others keep their defaults."""
+    fields = {name: interval(choose, *bounds) for name, bounds in dict(intervals).items() if choose.of((False, True))}
+    return fields | {name: choose.number(*bounds) for name, bounds in numbers.items() if choose.of((False, True))}
 
 
 def vehicle(choose):
@@ -86,19 +71,11 @@ def vehicle(choose):
     m11 = p.m11 * times()
     m22 = m11 * choose.number(1.05, 2.5)
     drag = {name: getattr(p, name) * times() for name in ("d11", "d22", "d33")}
-    more = some(
-        choose,
-        X_uu=lambda: choose.number(0, 200),
-        Y_vv=lambda: choose.number(0, 400),
-        N_rr=lambda: choose.number(0, 200),
-        Y_uv=lambda: choose.number(0, 100),
-        Y_ur=lambda: choose.number(-0.5, 1) * (m22 / 1.02 - m11),  # so that m22 stays above m11 - Y_ur
-        N_uv=lambda: choose.number(-30, 60),
-        N_ur=lambda: choose.number(0, 100),
-        speed=lambda: choose.number(0.5, 3),
-    )
-    if more.get("Y_ur", 0.0) < 0:
-        more["Y_ur"] = max(more["Y_ur"], m11 - m22 / 1.02)
+    quadratic = {"X_uu": (0, 200), "Y_vv": (0, 400), "N_rr": (0, 200)}
+    lift = {"Y_uv": (0, 100), "Y_ur": (-0.5, 1), "N_uv": (-30, 60), "N_ur": (0, 100)}
+    more = some(choose, **quadratic, **lift, speed=(0.5, 3))
+    if "Y_ur" in more:
+        more["Y_ur"] *= m22 / 1.02 - m11  # so that m22 stays above m11 - Y_ur
     return Vehicle(m11, m22, p.m33 * times(), **drag, **more)
 
 
@@ -125,18 +102,8 @@ def path(choose):
 
 def current(choose):
     """Return the distribution of a current."""
-    fields = some(
-        choose,
-        speed=lambda: interval(choose, 0, 0.5),
-        direction=lambda: interval(choose, -4, 4),
-        gust=lambda: choose.number(0, 0.2),
-        gust_time=lambda: choose.number(0.5, 60),
-        smoothing=lambda: choose.number(0, 10),
-        cap=lambda: choose.number(0, 1),
-        turn=lambda: interval(choose, -0.1, 0.1),
-        shear=lambda: interval(choose, 0, 0.3),
-        wavelength=lambda: interval(choose, 5, 200),
-    )
+    waters = {"speed": (0, 0.5), "direction": (-4, 4), "turn": (-0.1, 0.1), "shear": (0, 0.3), "wavelength": (5, 200)}
+    fields = some(choose, waters, gust=(0, 0.2), gust_time=(0.5, 60), smoothing=(0, 10), cap=(0, 1))
     return RandomCurrent(**fields, relative=choose.of((True, False)))
 
 
@@ -150,90 +117,43 @@ def waves(choose):
 def mismatch(choose, known):
     """Return the distribution of the true vehicle about a known one."""
     least = 1.02 * known.m11 / known.m22
-    fields = some(
-        choose,
-        mass=lambda: interval(choose, 0.7, 1.4),
-        ratio=lambda: interval(choose, max(0.9, least), max(1.2, least + 0.1)),
-        m33=lambda: interval(choose, 0.7, 1.4),
-        d11=lambda: interval(choose, 0.7, 1.4),
-        d22=lambda: interval(choose, 0.7, 1.4),
-        d33=lambda: interval(choose, 0.7, 1.4),
-        quadratic=lambda: interval(choose, 0, 1),
-        quadratic_drag=lambda: tuple(choose.number(0, 300) for _ in range(3)),
-    )
-    return RandomMismatch(**fields)
+    intervals = dict.fromkeys(("mass", "m33", "d11", "d22", "d33"), (0.7, 1.4))
+    intervals |= {"ratio": (max(0.9, least), max(1.2, least + 0.1)), "quadratic": (0, 1)}
+    drag = tuple(choose.number(0, 300) for _ in range(3))
+    return RandomMismatch(**some(choose, intervals), quadratic_drag=choose.of(((100.0, 200.0, 100.0), drag)))
 
 
 def sensors(choose):
     """Return the sensors' errors."""
-    fields = some(
-        choose,
-        position=lambda: choose.number(0, 1),
-        heading=lambda: choose.number(0, 0.1),
-        velocity=lambda: choose.number(0, 0.1),
-        yaw_rate=lambda: choose.number(0, 0.05),
-        position_bias=lambda: interval(choose, -1, 1),
-        heading_bias=lambda: interval(choose, -0.1, 0.1),
-        velocity_bias=lambda: interval(choose, -0.1, 0.1),
-        yaw_rate_bias=lambda: interval(choose, -0.05, 0.05),
-        outages=lambda: choose.number(0, 60),
-        outage_time=lambda: interval(choose, 0, 10),
-        reckoning=lambda: reckoning(choose),
-        low_pass=lambda: choose.number(0.05, 10),
-    )
-    return Sensors(**fields)
+    noise = {"position": (0, 1), "heading": (0, 0.1), "velocity": (0, 0.1), "yaw_rate": (0, 0.05)}
+    intervals = {f"{name}_bias": (-high, high) for name, (_, high) in noise.items()} | {"outage_time": (0, 10)}
+    fields = some(choose, intervals, **noise, outages=(0, 60), low_pass=(0.05, 10))
+    return Sensors(**fields, reckoning=either(choose, lambda: reckoning(choose)))
 
 
 def reckoning(choose):
     """Return the distribution of a dead reckoning."""
-    fields = some(
-        choose,
-        interval=lambda: interval(choose, 1, 20),
-        scale=lambda: interval(choose, -0.1, 0.1),
-        misalignment=lambda: interval(choose, -0.2, 0.2),
-        drift=lambda: interval(choose, -0.01, 0.01),
-        walk=lambda: choose.number(0, 0.01),
-    )
-    return RandomReckoning(**fields)
+    intervals = {"interval": (1, 20), "scale": (-0.1, 0.1), "misalignment": (-0.2, 0.2), "drift": (-0.01, 0.01)}
+    return RandomReckoning(**some(choose, intervals, walk=(0, 0.01)))
 
 
 def actuators(choose):
     """Return the actuators."""
-    fields = some(
-        choose,
-        lag=lambda: interval(choose, 0, 2),
-        F_u_rate=lambda: choose.number(10, 1000),
-        F_r_rate=lambda: choose.number(10, 1000),
-        effectiveness=lambda: interval(choose, 0.5, 1),
-        reach=lambda: interval(choose, 0.5, 1),
-        delay=lambda: interval(choose, 0, 3),
-        fin=lambda: choose.number(0, 500),
-        astern=lambda: choose.number(0, 1),
-    )
+    intervals = {"lag": (0, 2), "effectiveness": (0.5, 1), "reach": (0.5, 1), "delay": (0, 3)}
+    fields = some(choose, intervals, F_u_rate=(10, 1000), F_r_rate=(10, 1000), fin=(0, 500), astern=(0, 1))
     return Actuators(choose.number(60, 2000), choose.number(30, 1000), **fields)
 
 
 def start(choose):
     """Return the distribution of the first state."""
-    fields = some(
-        choose,
-        x_e=lambda: interval(choose, -5, 5),
-        y_e=lambda: interval(choose, -5, 5),
-        psi_e=lambda: interval(choose, -3, 3),
-        surge=lambda: interval(choose, -1, 2),
-    )
+    fields = some(choose, {"x_e": (-5, 5), "y_e": (-5, 5), "psi_e": (-3, 3), "surge": (-1, 2)})
     return Start(**fields, random_signs=choose.of((False, True)))
 
 
 def faults(choose):
     """Return the distribution of faults."""
-    kinds = tuple(choose.of(FAULTS) for _ in range(choose.of((1, 2, 3))))
+    kinds = tuple(choose.of(FAULT_KINDS) for _ in range(choose.of((1, 2, 3))))
     return RandomFaults(kinds, choose.number(0, 60), interval(choose, 0, 2), interval(choose, 0, 5))
-
-
-def governor(choose):
-    """Return a governor."""
-    return Governor(choose.number(0, 0.9), choose.number(0.1, 1), choose.number(1, 4))
 
 
 def scenario(choose, substeps=SUBSTEPS):
@@ -253,7 +173,6 @@ def scenario(choose, substeps=SUBSTEPS):
         "actuators": actuators(choose),
         "start": start(choose),
         "faults": either(choose, lambda: faults(choose)),
-        "governor": either(choose, lambda: governor(choose)),
         "steps": choose.of((1, 2, 7, 30)),
         "substeps": choose.of(substeps),
         "error_scale": choose.number(0.1, 2),

@@ -14,25 +14,25 @@ from pathlib import Path
 
 import pytest
 from built_pages import check_links, check_pages, check_search, check_sorting
+from package import LEFT, ROOT
 
 from auv_gym.scenarios.presets import PRESETS
+from baselines.__main__ import COMMANDS, call
 from baselines.agents.names import agent_folder
-from baselines.evaluation import entry as evaluation
 
-ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 VERBS = re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.MULTILINE)[1].split()
 TINY = "--algo ppo --scenario tiny.toml --timesteps 512 --set n_envs=8 n_steps=16 batch_size=64"
 QUICK = {
     "help": "",
     "demo": "--episodes 1 --jobs 1",
-    "video": "--episodes 2 --jobs 1 --seconds 0.5 --out video.webp",
+    "video": "--seconds 0.5 --out video.webp",
     "format": "",
     "bench": "--quick",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
-    "pages": "vehicle-gains --check",
-    "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
+    "pages": "policies --check",
+    "verify": "vehicles-v2 --policy open-loop --cells slow-calm@otter",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
     "clean": "",
@@ -40,47 +40,36 @@ QUICK = {
 """Options of the verbs that are run here."""
 BY_CI = {"test", "commands", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"test-all", "package", "oldest", "matrix", "soak"}
+BY_WORKFLOW = {"test-all", "package", "oldest", "matrix", "damage"}
 """Verbs that only the workflows run: they take long, or build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "vehicles-v2")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
-    r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
-    r"python -m research faults .*": "test_faults.py::test_a_quick_form_of_the_command",
-    r"python -m research governed .*": "test_governed.py::test_a_quick_form_of_the_command",
-    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_later_runs_continue",
-    r"auv-gym --help": "test_package.py::test_the_command",
-    r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
-    r"python -m research suites record .* --held-out .*": "test_held_out.py::test_the_command_keeps_rows",
-    r"python -m research suites check .*": "test_suites.py::test_generated_episodes_are_unchanged",
-    r"python -m research validation .*": "test_validation.py::test_the_command_writes_what_it_measures",
-    r"python -m research transfer .*": "test_transfer.py::test_the_command_compares",
-    r"python -m research throughput.*": "`make bench`, below",
     r"git clone .*": "needs the network",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
-    r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
-    r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
+    r"auv-gym --help": "test_package.py::test_the_command",
+    r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
+    r"auv-gym train .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
+    r"auv-gym train.*": "test_training.py::test_documented_commands_run",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
-    r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
-    r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_commands_of_the_tutorial",
-    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::test_commands_of_the_tutorial",
+    r"auv-gym verify .*": "test_result_files.py::test_equal_results_are_repeated",
     r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_equal_the_class",
-    r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
+    r"python -m research paper": "`make demo`, below",
+    r"python -m research speed .*": "`make bench`, below",
+    r"python -m research suites .*": "test_suites.py::test_the_command_records_policies_and_verifies_them",
+    r"python -m research (?!pages|study|web-demo).*": "test_study.py::test_a_quick_form_of_each_study",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
-
-
-EVALUATE = ("python evaluate.py", "auv-gym evaluate")
-"""How lines begin that evaluate."""
-
-
-OTHERS = r"auv-gym (?!evaluate)|python -m research "
-"""How other lines begin that run here."""
+EVALUATES = r"auv-gym evaluate|python evaluate\.py"
+RUN_HERE = r"auv-gym (?!evaluate)|python -m research "
+"""How lines begin that run here, those that evaluate and the others."""
+SUITES, OF_A_CLONE = (
+    [f.name.split(".")[0] for f in folder.glob("*.bz2")]
+    for folder in (ROOT / "baselines" / "evaluation" / "data" / "suites", ROOT / "research" / "data" / "suites")
+)
 
 
 def lines():
@@ -92,26 +81,17 @@ def lines():
 
 def quick(line):
     """Return the words behind `python` with which a line is run: one episode of one short scenario."""
-    words = shlex.split(
-        line.replace("auv-gym evaluate", "python evaluate.py").replace("auv-gym", "python -m baselines")
-    )
-    del words[0]
-    name = words[2] if words[:2] == ["-m", "research"] or words[:2] == ["-m", "baselines"] else ""
-    if name == "suites":
-        rest = QUICK["verify"] if words[3] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
-        return [*words[:4], *rest.split()]
-    if name == "estimation-bound":
-        return [*words, "--episodes", "1", "--out", "bounds.json"]
-    if name == "dataset":
-        return [*words, "--episodes", "1"]
-    if name == "video":
-        return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
-    if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
-        for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
+    words = shlex.split(line.replace("evaluate.py", "-m baselines evaluate").replace("auv-gym", "python -m baselines"))[
+        1:
+    ]
+    if words[2] == "video":
+        return [*words, "--seconds", "0.2"]
+    if words[2] == "evaluate":
+        for option in ("--suite", "--episodes", "--jobs"):
             if option in words:
                 at = words.index(option)
-                assert option != "--suite" or words[at + 1] in FROZEN
-                del words[at : at + count]
+                assert option != "--suite" or words[at + 1] in (SUITES if "auv-gym" in line else (*SUITES, *OF_A_CLONE))
+                del words[at : at + 2]
         scenario = [] if "--scenario" in words else ["--scenario", "cruise-calm"]
         return [*words, *scenario, "--episodes", "1", "--jobs", "1"]
     return words
@@ -125,8 +105,7 @@ def elsewhere(line):
 def copy(tmp_path_factory):
     """Return a copy of the repository with an environment in which nothing is left to install."""
     folder = tmp_path_factory.mktemp("verbs") / "auv_gym"
-    left = (".git", ".venv", "build", "dist", "runs", "__pycache__", ".*_cache", ".hypothesis")
-    shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*left))
+    shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*LEFT))
     (folder / ".venv").mkdir()
     (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
     if sys.prefix != sys.base_prefix:  # without these two the python in bin is not the environment's
@@ -172,56 +151,13 @@ def test_help_lists_the_verbs(copy):
 
 
 @pytest.mark.slow
-def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
-    printed = made(copy, "demo").splitlines()[-4:]
-    for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
+def test_demo_recomputes_the_paper_runs_every_preset_and_makes_a_video(copy):
+    written, says = made(copy, "demo").splitlines()[-2:]
+    for page in ("paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
         assert (copy / "runs" / "demo" / page).exists()
-    for policy, line in zip(("nmpc", "helm"), printed, strict=False):
-        expected = rf"steady-state RMSE of {policy}: 0\.\d+ m, of backstepping: 0\.\d+ m \(1 paired episode .*"
-        assert re.fullmatch(expected, line)
-    assert printed[2].startswith("written: runs/demo/storm/video.webp")
-    assert "runs/demo/storm/video.webp" in printed[3]
+    assert written.startswith("written: runs/demo/storm/video.webp")
+    assert "runs/demo/storm/video.webp" in says
     assert (copy / "runs" / "demo" / "storm" / "video.webp").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_video_is_made_in_a_quick_form(copy):
-    printed = made(copy, "video").splitlines()[-3:]
-    assert [line.split()[0] for line in printed] == ["steady-state", "steady-state", "written:"]
-    assert (copy / "video.webp").exists()
-
-
-@pytest.mark.slow
-def test_bench_measures_in_a_quick_form(copy):
-    text = made(copy, "bench")
-    for case in ("with resets", "different times", "eleven of 64", "first use", "decision of one vehicle: nmpc"):
-        assert case in text
-
-
-@pytest.mark.slow
-def test_train_makes_an_agent(copy):
-    made(copy, "train")
-    assert (copy / "run" / "agent" / "agent.json").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_train_all_trains_those_that_are_named(copy):
-    made(copy, "train-all")
-    assert [run.name for run in (copy / "runs" / "shipped").iterdir()] == ["ppo-cruise"]
-
-
-def test_pages_are_up_to_date(copy):
-    assert made(copy, "pages").splitlines()[-1] == "all pages are up to date"
-
-
-@pytest.mark.slow
-def test_verify_says_what_is_equal(copy):
-    assert re.search(r"^equal +open-loop in unmodelled-v1: \d+ numbers of 1 cells$", made(copy, "verify"), re.MULTILINE)
-
-
-def test_examples_are_listed(copy):
-    assert "rl_zoo" in made(copy, "examples")
 
 
 @pytest.mark.slow
@@ -240,6 +176,23 @@ def test_docs_are_built_without_a_warning(copy, browser):
     check_search(browser, built)
 
 
+@pytest.mark.parametrize(
+    ("verb", "says", "file"),
+    [
+        ("examples", "rl_zoo", ""),
+        ("pages", "all pages are up to date", ""),
+        pytest.param("video", "written: ", "video.webp", marks=pytest.mark.slow),
+        pytest.param("bench", r"(\d+) of \1 rows measured: runs/quick/speed.json", "", marks=pytest.mark.slow),
+        pytest.param("train", "agent: run/agent", "run/agent/agent.json", marks=pytest.mark.slow),
+        pytest.param("train-all", "", "runs/shipped/ppo-cruise", marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param("verify", r"equal +open-loop in vehicles-v2: \d+ numbers of 1 cells", "", marks=pytest.mark.slow),
+    ],
+)
+def test_verb_runs_in_a_quick_form(verb, says, file, copy):
+    assert re.search(says, made(copy, verb))
+    assert (copy / file).exists()
+
+
 def test_format_mends_what_lint_complains_about(copy):
     file = copy / "auv_gym" / "untidy.py"
     file.write_text('"""Untidy."""\nimport os\nx = [ 1,2 ]\n', encoding="utf-8")
@@ -252,17 +205,33 @@ def test_clean_leaves_what_was_not_built(tmp_path):
     shutil.copy(ROOT / "Makefile", tmp_path)
     for name in (".venv/bin", "build/docs", "dist", "auv_gym/__pycache__", ".pytest_cache", "runs/train"):
         (tmp_path / name).mkdir(parents=True)
-    (tmp_path / "auv_gym" / "kept.py").touch()
+    for name in ("auv_gym/kept.py", ".venv/made-by-make"):
+        (tmp_path / name).touch()
     made(tmp_path, "clean")
     left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")}
     assert left == {"Makefile", "auv_gym", "auv_gym/kept.py", "runs", "runs/train"}
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_an_environment_that_make_did_not_make_stays(begun, tmp_path):
+    """One whose making was interrupted is completed."""
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / ".venv").mkdir()
+    (tmp_path / ".venv" / "mine").touch()
+    if begun:
+        (tmp_path / ".venv" / "made-by-make").touch()
+    make = ["make", ".venv/venv.stamp", f"PYTHON={sys.executable}"]
+    process = subprocess.run(make, check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert (process.returncode, (tmp_path / ".venv" / "bin").exists()) == (0 if begun else 2, begun)
+    if not begun:
+        assert "error: make did not make .venv, so it stays as it is: make VENV=another-folder" in process.stderr
+        made(tmp_path, "clean")
+    assert (tmp_path / ".venv" / "mine").exists()
+
+
 def test_every_line_of_the_pages_is_run_or_listed():
     for line in lines():
-        assert elsewhere(line) or line.startswith(
-            (*EVALUATE, "auv-gym ", "python -m baselines", "python -m research ")
-        ), line
+        assert elsewhere(line) or re.match(f"{EVALUATES}|{RUN_HERE}", line), line
     for pattern, where in ELSEWHERE.items():
         assert any(re.fullmatch(pattern, line) for line in lines()), pattern
         if match := re.match(r"(test_\w+\.py)(?:::(\w+))?", where):
@@ -290,7 +259,7 @@ def folder(tmp_path_factory):
     for page in PAGES:
         for language, text in FENCE.findall(page.read_text(encoding="utf-8")):
             name = text.split("\n", 1)[0].removeprefix("# ")
-            if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
+            if re.fullmatch(r"\w+\.(py|toml)", name) and language in ("python", "toml"):
                 (folder / name).write_text(text, encoding="utf-8")
     trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
     for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
@@ -302,22 +271,15 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    "line",
-    [line for line in lines() if line.startswith(EVALUATE) and not elsewhere(line)],
-)
+@pytest.mark.parametrize("line", [x for x in lines() if re.match(EVALUATES, x) and not elsewhere(x)])
 @pytest.mark.slow
-def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
+def test_line_of_evaluate_runs(line, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    if "--help" in line:
-        with pytest.raises(SystemExit, match="0"):
-            evaluation.main(quick(line)[1:])
-    else:
-        assert evaluation.main(quick(line)[1:]) == 0
+    assert call(COMMANDS["evaluate"], quick(line)[3:], "auv-gym evaluate") == 0
 
 
 @pytest.mark.parametrize(
-    "line", sorted({shlex.join(quick(x)) for x in lines() if re.match(OTHERS, x) and not elsewhere(x)})
+    "line", sorted({shlex.join(quick(x)) for x in lines() if re.match(RUN_HERE, x) and not elsewhere(x)})
 )
 @pytest.mark.slow
 def test_line_of_a_module_runs(line, copy):

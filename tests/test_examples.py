@@ -1,6 +1,8 @@
-"""The examples: each library has a script and a row of the page."""
+"""The examples and the notebooks: each library has a script and a row of the page, and they run."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,19 +32,37 @@ def test_an_unknown_example_is_refused(capsys):
     assert "unknown example 'nothing'; allowed are sb3" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["sb3"])
-def test_examples_with_installed_libraries_run(name, tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(SCRIPTS / f"with_{name}.py"), "--quick"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def output_of(words, folder):
+    """Run Python in a folder, where the commands of its environment are in the path, and return what it prints."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "works: " in done.stdout
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_an_example_with_an_installed_library_runs(tmp_path):
+    assert "works: " in output_of([SCRIPTS / "with_sb3.py", "--quick"], tmp_path)
+
+
+def script(notebook):
+    """Return the code cells as a script, in which shell lines are calls, without the cell of the installation."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    install, *code = ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert install.startswith("%pip install")
+    call = r"import subprocess; subprocess.run('\1', shell=True, check=True)"
+    return re.sub(r"^!(.*)$", call, "\n".join(code), flags=re.MULTILINE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebook_runs(notebook, tmp_path):
+    (tmp_path / "script.py").write_text(script(notebook), encoding="utf-8")
+    printed = output_of(["-W", "error", "script.py"], tmp_path)
+    errors = dict(re.findall(r"^(\w+) +([\d.]+) cm, \d+ of 20 failed$", printed, re.MULTILINE))
+    assert float(errors["helm"]) < float(errors["ekf"]) < float(errors["backstepping"])
 
 
 @pytest.mark.filterwarnings(r"ignore:.torch\.jit:DeprecationWarning")  # d3rlpy writes TorchScript

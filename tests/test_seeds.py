@@ -13,15 +13,15 @@ from research import seeds as studies
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("seeds", [product, studies])
-def test_ranges_do_not_overlap(seeds):
-    for a, b in itertools.pairwise(seeds.TABLE):
+@pytest.mark.parametrize(("seeds", "table"), [(product, product.TABLE), (studies, studies.STUDY_SEEDS)])
+def test_ranges_do_not_overlap(seeds, table):
+    for a, b in itertools.pairwise(table):
         assert a.first < a.end <= b.first < b.end
-    assert set(seeds.TABLE) == {value for value in vars(seeds).values() if isinstance(value, product.Seeds)}
+    assert set(table) == {value for value in vars(seeds).values() if isinstance(value, product.Seeds)}
 
 
 def test_seeds_of_studies_are_in_their_range():
-    assert all(product.STUDIES.holds(own.first, own.end - own.first) for own in studies.TABLE)
+    assert all(product.STUDIES.holds(own.first, own.end - own.first) for own in studies.STUDY_SEEDS)
 
 
 def test_only_the_tables_define_seeds():
@@ -34,8 +34,8 @@ def test_only_the_tables_define_seeds():
 
 
 def test_a_range_holds_its_seeds():
-    assert studies.HELD_OUT.holds(studies.HELD_OUT.first, 64)
-    assert not studies.HELD_OUT.holds(studies.HELD_OUT.end - 1, 2)
-    assert not studies.HELD_OUT.holds(studies.HELD_OUT.first - 1)
+    assert studies.TRANSFER.holds(studies.TRANSFER.first, 64)
+    assert not studies.TRANSFER.holds(studies.TRANSFER.end - 1, 2)
+    assert not studies.TRANSFER.holds(studies.TRANSFER.first - 1)
     assert product.TUNING.holds(search.TUNING_SEED)
     assert product.TUNING_CHECK.holds(search.VALIDATION_SEED, search.VALIDATION_EPISODES)

@@ -1,12 +1,15 @@
-"""Pages, docstrings and comments are plain technical English: no private words, and sentences that are easy to read."""
+"""Pages, docstrings and comments are plain technical English, and docstrings can be read alone."""
 
 import ast
+import importlib
 import io
 import re
 import tokenize
 from pathlib import Path
 
 import pyphen
+
+import auv_gym
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -24,6 +27,14 @@ PRIVATE = re.compile(
     re.IGNORECASE,
 )
 """Words that had a meaning in this project alone, or personify software; docs/glossary.md has the standard terms."""
+LEANING = re.compile(
+    r"\blikewise\b|\bthe same as above\b|\b(see|as) above\b|, as the (next|previous|former|last)\b"
+    r"|\bas the (next|previous|last) (one|two|three|four|five|six)\b|^As `?\w+`?\.$|^See the (next|previous)",
+    re.IGNORECASE | re.MULTILINE,
+)
+"""Words by which a docstring leans on one of its neighbours."""
+PLAIN = {"FOLDER", "PROGRAM", "T"}
+"""Constants that their names explain: a module's folder of data, its command, a type variable."""
 SYLLABLES = pyphen.Pyphen(lang="en_US")
 
 
@@ -75,3 +86,32 @@ def test_pages_have_no_private_words():
 def test_docstrings_and_comments_have_no_private_words():
     texts = ((path, line, re.sub(r"`[^`]*`", "x", text)) for path in CODE for line, text in said(path))
     assert [f"{path}:{line}: {match[0]}" for path, line, text in texts if (match := PRIVATE.search(text))] == []
+
+
+def test_docstrings_and_comments_stand_alone():
+    texts = [(path, line, text) for path in CODE for line, text in said(path)]
+    assert [f"{path}:{line}: {match[0]}" for path, line, text in texts if (match := LEANING.search(text))] == []
+
+
+def undocumented(path):
+    """Return the public constants of a module without a docstring and a comment at the end of their line."""
+    text = path.read_text(encoding="utf-8")
+    lines, body = text.splitlines(), ast.parse(text).body
+    for node, after in zip(body, [*body[1:], None], strict=True):
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = {name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)}
+            has_docstring = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if not has_docstring and "# " not in lines[node.lineno - 1] + lines[node.end_lineno - 1]:
+                yield from (name for name in names - PLAIN if re.fullmatch(r"[A-Z][A-Z0-9_]*", name))
+
+
+def test_constants_of_the_package_are_explained():
+    files = [path for path in CODE if path.relative_to(ROOT).parts[0] in ("auv_gym", "baselines")]
+    assert {path: names for path in files if (names := [*undocumented(path)])} == {}
+
+
+def test_public_attributes_have_help():
+    for name in auv_gym.__all__:
+        assert name in vars(importlib.import_module(f"auv_gym.{auv_gym._HOMES[name]}"))
+        assert getattr(auv_gym, name).__doc__

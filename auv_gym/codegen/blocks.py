@@ -31,10 +31,10 @@ class _Statement(NamedTuple):
 
 def c_block_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
     """Return the C source of a function with the interface of `printing.c_function` that computes block by block."""
-    parts, kept = _parts(graph, arguments, results, layout.precision)
+    parts, saved = _parts(graph, arguments, results, layout.precision)
     rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
-    blocks = {f"block_{a}": len(own) for a, own in arguments.items()}
-    blocks |= {f"after_{a}": len(own) for a, own in results.items()} | {"kept": max(kept, 1)}
+    blocks = {f"block_{a}": len(entries) for a, entries in arguments.items()}
+    blocks |= {f"after_{a}": len(entries) for a, entries in results.items()} | {"kept": max(saved, 1)}
     taken = ", ".join(f"real (*restrict {block})[{_BLOCK}]" for block in blocks)
     lines = [
         *(line for i, part in enumerate(parts) for line in _function(f"{name}_{i}", taken, part)),
@@ -61,21 +61,21 @@ def c_block_function(name: str, graph: Graph, arguments: Arrays, results: Arrays
 def _parts(graph: Graph, arguments: Arrays, results: Arrays, precision: str) -> tuple[list[list[str]], int]:
     """Return the statements of each part for one vehicle, and the number of values that parts keep for later parts."""
     outputs = [s for entries in results.values() for s in entries]
-    given = {s.node[1]: f"block_{a}[{j}][i]" for a, own in arguments.items() for j, s in enumerate(own)}
-    statements, texts = written_statements(graph, outputs, c_language(precision), {entry: entry for entry in given})
+    inputs = {s.node[1]: f"block_{a}[{j}][i]" for a, entries in arguments.items() for j, s in enumerate(entries)}
+    statements, texts = written_statements(graph, outputs, c_language(precision), {entry: entry for entry in inputs})
     whole = [_Statement(target, text, truth, True) for target, text, truth in statements]
-    places = (f"after_{a}[{j}][i]" for a, own in results.items() for j in range(len(own)))
+    places = (f"after_{a}[{j}][i]" for a, entries in results.items() for j in range(len(entries)))
     for place, text, entry in zip(places, texts, outputs, strict=True):
         truth = graph.nodes[entry.index][0] in TRUTHS
         whole.append(_Statement(place, f"({text} ? (real)1 : (real)0)" if truth else text, False, False))
     cut = _cut(whole)
     defined = {s.target: (i, s.truth) for i, part in enumerate(cut) for s in part if s.named}
-    kept: dict[str, int] = {}
+    saved: dict[str, int] = {}
     for i, part in enumerate(cut):
         for used in _used(part):
             if used in defined and defined[used][0] < i:
-                kept.setdefault(used, len(kept))
-    return [_completed(i, part, given, defined, kept) for i, part in enumerate(cut)], len(kept)
+                saved.setdefault(used, len(saved))
+    return [_completed(i, part, inputs, defined, saved) for i, part in enumerate(cut)], len(saved)
 
 
 def _cut(statements: list[_Statement]) -> list[list[_Statement]]:
@@ -99,23 +99,23 @@ def _used(part: list[_Statement]) -> list[str]:
 def _completed(
     i: int,
     part: list[_Statement],
-    given: Mapping[str, str],
+    inputs: Mapping[str, str],
     defined: Mapping[str, tuple[int, bool]],
-    kept: Mapping[str, int],
+    saved: Mapping[str, int],
 ) -> list[str]:
     """Return the lines of part i: its inputs, its statements, and the assignments of values that later parts use."""
     lines = []
     for name in _used(part):
-        if name in given:
-            lines.append(f"const real {name} = {given[name]};")
+        if name in inputs:
+            lines.append(f"const real {name} = {inputs[name]};")
         elif name in defined and defined[name][0] < i:
-            place, truth = f"kept[{kept[name]}][i]", defined[name][1]
+            place, truth = f"kept[{saved[name]}][i]", defined[name][1]
             lines.append(f"const int {name} = {place} > (real)0;" if truth else f"const real {name} = {place};")
     for target, text, truth, named in part:
         kind = ("const int " if truth else "const real ") if named else ""
         lines.append(f"{kind}{target} = {text};")
-        if target in kept:
-            lines.append(f"kept[{kept[target]}][i] = {f'({target} ? (real)1 : (real)0)' if truth else target};")
+        if target in saved:
+            lines.append(f"kept[{saved[target]}][i] = {f'({target} ? (real)1 : (real)0)' if truth else target};")
     return lines
 
 

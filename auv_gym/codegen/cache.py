@@ -22,12 +22,10 @@ BUILD = "build-"
 """Prefix of the names of temporary folders in which libraries are built."""
 DAY = 86400.0  # [s]
 UNUSED = 90 * DAY
-"""Time since its last use [s] after which a library is removed."""
-MOST = 1000
-"""Largest number of libraries; more are removed by a build, those first that were not used for the longest time."""
+"""Time since its last use [s] after which a file is removed."""
 LEFTOVER = 3600.0
 """Age [s] after which a folder with the prefix `BUILD` is removed; its process was killed."""
-_LIBRARY = re.compile(r"[0-9a-f]{32}\.so")  # file names of libraries
+_KEPT = re.compile(r"[0-9a-f]{32}\.(so|json)")  # file names of libraries and of what is kept of traces
 
 
 def cache_folders() -> Iterator[Path]:
@@ -36,9 +34,9 @@ def cache_folders() -> Iterator[Path]:
     An environment variable that is empty or a relative path counts as not set, as in the XDG specification. A folder
     that cannot be determined or made is left out.
     """
-    own, shared = (Path(os.environ.get(name, "")) for name in (CACHE, "XDG_CACHE_HOME"))
-    if own.is_absolute():
-        yield own
+    chosen, shared = (Path(os.environ.get(name, "")) for name in (CACHE, "XDG_CACHE_HOME"))
+    if chosen.is_absolute():
+        yield chosen
     elif shared.is_absolute():
         yield shared / "auv_gym"
     else:
@@ -46,18 +44,13 @@ def cache_folders() -> Iterator[Path]:
             if (home := Path.home()).is_absolute():
                 yield home / ".cache" / "auv_gym"
     with suppress(OSError):
-        yield _temporary()
+        yield Path(_temporary_folder().name)
 
 
 @cache
-def _temporary() -> Path:
-    """Return a new folder that other users cannot write to; it is removed at the end of the process."""
-    folder = tempfile.TemporaryDirectory(prefix="auv_gym-", ignore_cleanup_errors=True)  # Windows keeps loaded files
-    _open_folders.append(folder)
-    return Path(folder.name)
-
-
-_open_folders: list[tempfile.TemporaryDirectory[str]] = []
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    """Make a folder that other users cannot write to; it is removed at the end of the process."""
+    return tempfile.TemporaryDirectory(prefix="auv_gym-", ignore_cleanup_errors=True)  # Windows keeps loaded files
 
 
 def own_folder(folder: Path) -> Path:
@@ -106,15 +99,11 @@ def mark_used(file: Path) -> None:
 
 
 def remove_unused(folder: Path) -> None:
-    """Remove libraries beyond `MOST` or not used for `UNUSED`, and the folders of builds that were killed."""
-    ages: dict[Path, float] = {}
+    """Remove files that were not used for `UNUSED`, and the folders of builds that were killed."""
     for entry in folder.iterdir():
         with suppress(OSError):  # another process has removed it
-            ages[entry] = time.time() - entry.lstat().st_mtime
-            if entry.name.startswith(BUILD) and ages[entry] > LEFTOVER:
+            age = time.time() - entry.lstat().st_mtime
+            if entry.name.startswith(BUILD) and age > LEFTOVER:
                 shutil.rmtree(entry)
-    libraries = sorted((entry for entry in ages if _LIBRARY.fullmatch(entry.name)), key=ages.__getitem__)
-    for i, library in enumerate(libraries):
-        if i >= MOST or ages[library] > UNUSED:
-            with suppress(OSError):
-                library.unlink()
+            elif _KEPT.fullmatch(entry.name) and age > UNUSED:
+                entry.unlink()

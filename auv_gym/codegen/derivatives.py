@@ -103,12 +103,12 @@ def _active(graph: Graph, order: Sequence[int], variables: set[int]) -> set[int]
 
     The dependence through truth values is left out, since its derivative is zero.
     """
-    found: set[int] = set()
+    active: set[int] = set()
     for i in order:
         node = graph.nodes[i]
-        if i in variables or (node[0] not in TRUTHS and any(a in found for a in arguments_of(node))):
-            found.add(i)
-    return found
+        if i in variables or (node[0] not in TRUTHS and any(a in active for a in arguments_of(node))):
+            active.add(i)
+    return active
 
 
 def _add(sums: dict[int, Symbol], index: int, share: Symbol) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +16,9 @@ from auv_gym.codegen import native
 from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import OPERATIONS, Graph, Symbol, floor
-from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
-from auv_gym.physics.namespaces import ARRAYS, AnyArray
+from auv_gym.codegen.printing import Arrays, Layout, c_function, python_function
+from auv_gym.codegen.traces import Trace, read_trace, trace_key, write_trace
+from auv_gym.physics.namespaces import ARRAYS, FLOATS, AnyArray, Namespace
 
 Equation = Callable[..., Mapping[str, Sequence[Any]]]
 """A function that takes the rows of each argument by name, as symbols, and returns the rows of each result by name."""
@@ -24,23 +26,54 @@ KernelRun = Callable[[int, int], None]
 """A function `run(first, steps)` that computes this number of steps from step `first` on."""
 
 _DTYPES = {name: np.dtype(name) for name in ("float32", "float64")}
-_MATH = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "inf", "nan")}
+_MOST_KERNELS = 256  # largest number of kernels that this process keeps for the same equations
+_NAMES = ("sin", "cos", "exp", "log", "sqrt", "arctan2", "floor", "clip", "where")  # that printed Python calls
 
 
-@dataclass(frozen=True, eq=False)
+def address(array: AnyArray | None) -> Any:
+    """Return the address of the numbers of an array, in half the time of `array.ctypes`; None for None."""
+    return None if array is None else array.__array_interface__["data"][0]
+
+
+class _Parts(NamedTuple):
+    """A traced equation."""
+
+    graph: Graph
+    arguments: Arrays
+    results: Arrays
+
+
 class Kernel:
     """An equation on rows of n vehicles, for one or several steps.
 
     The shape of an array is (rows, n), or (rows,) if its values are shared by all vehicles. An array with values for
     each step has the shape (T, rows, n) or (T, rows). An array that is an argument and a result is carried from step to
     step. Any other result holds the values of the last step, unless it has values for each step.
+
+    Attributes:
+        layout: memory layout of the arrays.
+        rows: number of rows of each array, in the order of the compiled function's arguments.
+        written: names of the results.
     """
 
-    name: str
-    graph: Graph
-    arguments: Arrays
-    results: Arrays
-    layout: Layout
+    name = "auv_kernel"
+    """Name of the compiled function."""
+
+    def __init__(self, trace: Callable[[], _Parts], layout: Layout, earlier: Trace | None = None) -> None:
+        """Make a kernel; see `traced`.
+
+        Args:
+            trace: traces the equation.
+            layout: memory layout of the arrays.
+            earlier: what an earlier process has kept of the equation. None: the equation is traced now.
+        """
+        self._trace, self.layout = trace, layout
+        self._compiled: dict[bool, Any] = {}  # the compiled functions, by whether they are for many vehicles
+        if earlier is not None:
+            self.rows, self.written, self.__dict__["digest"] = earlier.rows, tuple(earlier.written), earlier.digest
+        else:
+            arrays = {**self.arguments, **self.results}
+            self.rows, self.written = {name: len(entries) for name, entries in arrays.items()}, tuple(self.results)
 
     @classmethod
     def traced(
@@ -57,6 +90,9 @@ class Kernel:
     ) -> Kernel:
         """Return the kernel of an equation, which is run once on symbols.
 
+        The same equation gives the same kernel again. If an earlier process has compiled it, it is traced only if its
+        graph is needed, see `traces`.
+
         Args:
             equation: see `Equation`; its namespace must be `graph.SYMBOLS`.
             rows: number of rows of each argument.
@@ -67,20 +103,56 @@ class Kernel:
             structural: see `Graph`.
             blocked: whether the C code computes eight vehicles at a time, for equations of more than a hundred rows.
         """
-        graph = Graph(structural)
-        arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
-        results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
         layout = Layout(frozenset(over_time), frozenset(shared), precision, back, blocked)
-        return cls("auv_kernel", graph, arguments, results, layout)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the fields; cached values, some of them addresses in this process, are left out."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        def trace() -> _Parts:
+            graph = Graph(structural)
+            arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
+            results = {array: [graph.symbol(x) for x in entries] for array, entries in equation(**arguments).items()}
+            return _Parts(graph, arguments, results)
+
+        if not (key := trace_key(equation, rows, layout, structural)):
+            return cls(trace, layout)
+        if (kernel := _kernels.pop(key, None)) is None:
+            earlier = read_trace(key) if native.has_compiler() else None
+            kernel = cls(trace, layout, earlier)
+            if earlier is None and native.has_compiler():
+                write_trace(key, Trace(kernel.digest, kernel.rows, list(kernel.written)))
+        _kernels[key] = kernel
+        if len(_kernels) > _MOST_KERNELS:
+            del _kernels[next(iter(_kernels))]
+        return kernel
 
     @cached_property
-    def rows(self) -> dict[str, int]:
-        """Number of rows of each array, in the order of the compiled function's arguments."""
-        return {array: len(entries) for array, entries in {**self.arguments, **self.results}.items()}
+    def _parts(self) -> _Parts:
+        return self._trace()
+
+    @property
+    def graph(self) -> Graph:
+        """The graph of the results."""
+        return self._parts.graph
+
+    @property
+    def arguments(self) -> Arrays:
+        """The symbols of each argument."""
+        return self._parts.arguments
+
+    @property
+    def results(self) -> Arrays:
+        """The symbols of each result."""
+        return self._parts.results
+
+    def __deepcopy__(self, _: Any) -> Kernel:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the graph, since the equation and the addresses of compiled code belong to this process."""
+        return Kernel, (partial(_Parts, *self._parts), self.layout)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the C source."""
+        return hashlib.sha256(self.source.encode()).hexdigest()
 
     @cached_property
     def source(self) -> str:
@@ -112,27 +184,22 @@ class Kernel:
         is used for one as well.
         """
         if not self._compiled or (n > 1 and True not in self._compiled):
-            self._compiled[n > 1] = _function(native.library(self.source, many=n > 1), self.name)
+            library = native.library(self.digest, lambda: self.source, many=n > 1)
+            self._compiled[n > 1] = _function(library, self.name)
         return self._compiled.get(True, self._compiled.get(False))
 
     @cached_property
-    def _compiled(self) -> dict[bool, Any]:
-        """The compiled functions, by whether they are for many vehicles."""
-        return {}
-
-    @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
-        return self._python(PYTHON, {**_MATH, "arctan2": math.atan2, "floor": floor, "single": OPERATIONS["single"]})
+        return self._python(FLOATS, floor=floor, single=OPERATIONS["single"])
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
-        names = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "arctan2", "floor", "clip", "where")}
-        names |= {"exp": np.exp, "log": np.log, "inf": math.inf, "nan": math.nan, "single": _single_rows}
-        return self._python(NUMPY, names)
+        return self._python(ARRAYS, single=_single_rows)
 
-    def _python(self, language: Language, names: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
-        """Return the printed function, whose source uses these global names."""
-        source = python_function(self.name, self.graph, self.arguments, self._outputs, language)
+    def _python(self, ns: Namespace, **others: Any) -> Callable[..., tuple[Any, ...]]:
+        """Return the printed function on the numbers of a namespace."""
+        names = {name: getattr(ns, name) for name in _NAMES} | {"inf": math.inf, "nan": math.nan} | others
+        source = python_function(self.name, self.graph, self.arguments, self._outputs)
         exec(compile(source, f"<{self.name}>", "exec"), names)
         function: Callable[..., tuple[Any, ...]] = names[self.name]
         return function
@@ -147,20 +214,16 @@ class Kernel:
         """
         n = self._checked(arrays)
         if (function := self._native(n)) is None:
-            return self._on_one(arrays) if n == 1 else self._on_several(arrays)
-        table = self._table(arrays, n)
-        run = partial(function, ctypes.c_void_p(table.__array_interface__["data"][0]))  # faster than a closure
-        run.__dict__["kept"] = table, arrays  # references, as long as the addresses are used
-        return run
-
-    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> AnyArray:
-        """Return the first argument of the compiled function, see `c_function`."""
-        entries, size = [n], _DTYPES[self.layout.precision].itemsize
+            return partial(self._run_python, arrays, n)
+        entries, size = [n], _DTYPES[self.layout.precision].itemsize  # of the first argument, see `c_function`
         for name, _, strides in self._axes:
             array = arrays[name]
-            entries.append(array.__array_interface__["data"][0])  # takes half the time of `array.ctypes`
+            entries.append(address(array))
             entries += [stride // size for stride in array.strides[:strides]]
-        return np.array(entries, dtype=np.int64)
+        table = np.array(entries, dtype=np.int64)
+        run = partial(function, ctypes.c_void_p(address(table)))  # faster than a closure
+        run.__dict__["kept"] = table, arrays  # references, as long as the addresses are used
+        return run
 
     @cached_property
     def _axes(self) -> list[tuple[str, int, int]]:
@@ -171,6 +234,8 @@ class Kernel:
         """Return the number of vehicles; raise ValueError for wrong arrays, see `bound`."""
         if arrays.keys() != self.rows.keys():
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
+        for digests in _recorders:
+            digests.add(self.digest)
         n: int = next(a.shape[-1] for name, a in arrays.items() if name not in self.layout.shared)
         dtype = _DTYPES[self.layout.precision]
         for name, rows, _ in self._axes:
@@ -186,65 +251,28 @@ class Kernel:
                 raise ValueError(f"the last axis of array {name} is not contiguous; it must be contiguous")
         return n
 
-    def _steps(self, first: int, steps: int) -> Iterable[int]:
-        return range(first + steps - 1, first - 1, -1) if self.layout.back else range(first, first + steps)
-
-    def _split(self, values: tuple[Any, ...]) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield the name and the values of each result."""
-        at = 0
-        for name, entries in self.results.items():
-            yield name, values[at : at + len(entries)]
-            at += len(entries)
-
-    def _on_one(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
-        """Return the function of `bound` for one vehicle, on floats."""
-        function = self._on_floats
-
-        def run(first: int, steps: int) -> None:
-            time = slice(first, first + steps)
-            rows = {name: self._only(name, array, time).tolist() for name, array in arrays.items()}
-            for k in self._steps(0, steps):
-                given = [rows[n][k] if n in self.layout.over_time else rows[n] for n in self.arguments]
-                try:
-                    values = function(*given)
-                except (ArithmeticError, ValueError):  # NumPy gives inf or nan, as C does
-                    values = self._without_errors(given)
-                for name, own in self._split(values):
-                    if name in self.layout.over_time:
-                        rows[name][k] = own
-                    else:
-                        rows[name] = own
-            for name in self.results if steps else ():
-                self._only(name, arrays[name], time)[:] = rows[name]
-
-        return run
-
-    def _only(self, name: str, array: AnyArray, time: slice) -> AnyArray:
-        """Return the values of the only vehicle in an array."""
-        part = array[time] if name in self.layout.over_time else array
-        return part if name in self.layout.shared else part[..., 0]
-
-    def _without_errors(self, given: Iterable[Any]) -> tuple[Any, ...]:
-        """Return the results for one vehicle; inf or nan where Python raises an error."""
+    def _computed(self, inputs: Sequence[AnyArray], n: int) -> Sequence[Any]:
+        """Return the results of one step by the printed function; inf or nan where Python raises an error."""
+        if n == 1:
+            inputs = [array.ravel() for array in inputs]
+            with suppress(ArithmeticError, ValueError):
+                return self._on_floats(*(array.tolist() for array in inputs))
         with np.errstate(all="ignore"):
-            return tuple(map(float, self._on_rows(*map(np.array, given))))
+            return self._on_rows(*(array.copy() for array in inputs))
 
-    def _on_several(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
-        """Return the function of `bound` for several vehicles, on rows."""
-        function = self._on_rows
-
-        def run(first: int, steps: int) -> None:
-            for k in self._steps(first, steps):
-                at = {name: a[k] if name in self.layout.over_time else a for name, a in arrays.items()}
-                with np.errstate(all="ignore"):
-                    values = function(
-                        *(at[name].copy() if name in self.results else at[name] for name in self.arguments)
-                    )
-                for name, own in self._split(values):
-                    for row, value in zip(at[name], own, strict=True):
+    def _run_python(self, arrays: Mapping[str, AnyArray], n: int, first: int, steps: int) -> None:
+        """Run the printed function for these arrays of n vehicles, see `bound`."""
+        times = range(first, first + steps)
+        for k in reversed(times) if self.layout.back else times:
+            at = {name: array[k] if name in self.layout.over_time else array for name, array in arrays.items()}
+            values, end = self._computed([at[name] for name in self.arguments], n), 0
+            for name, entries in self.results.items():
+                begin, end = end, end + len(entries)
+                if n == 1:
+                    at[name].T[:] = values[begin:end]
+                else:
+                    for row, value in zip(at[name], values[begin:end], strict=True):
                         row[:] = value
-
-        return run
 
     def __call__(self, steps: int = 1, /, **arguments: AnyArray) -> dict[str, AnyArray]:
         """Return new arrays with the results of the first `steps` steps; the arguments are not changed.
@@ -252,22 +280,21 @@ class Kernel:
         Raises:
             ValueError: an array is missing, unknown, of another shape, or has fewer steps.
         """
-        given = {name: np.ascontiguousarray(a, dtype=_DTYPES[self.layout.precision]) for name, a in arguments.items()}
-        if short := [name for name in given if name in self.layout.over_time and len(given[name]) < steps]:
-            raise ValueError(f"array {short[0]} has {len(given[short[0]])} steps; it must have at least {steps}")
-        n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
-        results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
-        arrays = {**given, **results}
-        if (function := self._native(n)) is None:
-            self.bound(**arrays)(0, steps)
-        else:  # faster than `bound`
-            table = self._table(arrays, self._checked(arrays))
-            function(ctypes.c_void_p(table.__array_interface__["data"][0]), 0, steps)
+        dtype, over_time = _DTYPES[self.layout.precision], self.layout.over_time
+        inputs = {name: np.ascontiguousarray(a, dtype=dtype) for name, a in arguments.items()}
+        if short := [name for name in inputs if name in over_time and len(inputs[name]) < steps]:
+            raise ValueError(f"array {short[0]} has {len(inputs[short[0]])} steps; it must have at least {steps}")
+        n = next(a.shape[-1] for name, a in inputs.items() if name not in self.layout.shared)
+        results = {}
+        for name in self.written:
+            shape = (steps, self.rows[name], n) if name in over_time else (self.rows[name], n)
+            results[name] = inputs[name].copy() if name in inputs else np.empty(shape, dtype=dtype)
+        self.bound(**inputs | results)(0, steps)
         return results
 
-    def _empty(self, name: str, steps: int, n: int) -> AnyArray:
-        shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
-        return np.empty(shape, dtype=_DTYPES[self.layout.precision])
+
+_kernels: dict[str, Kernel] = {}
+"""Kernels by the keys of their equations, those in use last at the end."""
 
 
 def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True) -> Any:
@@ -283,13 +310,38 @@ def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True
     Returns:
         The library, a `ctypes.CDLL`; None without a compiler.
     """
-    head = next(iter(kernels.values()))._head
-    library = native.library("".join((head, *(k._code(name) for name, k in kernels.items()), code)), many=many)
+
+    def source() -> str:
+        head = next(iter(kernels.values()))._head
+        return "".join((head, *(kernel._code(name) for name, kernel in kernels.items()), code))
+
+    library = native.library(library_digest(kernels, code), source, many=many)
     for name, kernel in kernels.items():
         function = _function(library, name)
         kernel._compiled[many] = function
         kernel._compiled.setdefault(True, function)
     return library
+
+
+def library_digest(kernels: Mapping[str, Kernel], code: str) -> str:
+    """Return the hash of the source of a library, see `together`."""
+    parts = (f"{name} {kernel.digest}\n" for name, kernel in kernels.items())
+    return hashlib.sha256("".join((*parts, code)).encode()).hexdigest()
+
+
+@contextmanager
+def recorded_digests() -> Iterator[set[str]]:
+    """Return a set to which the digest of each kernel is added that is used in a `with` block."""
+    digests: set[str] = set()
+    _recorders.append(digests)
+    try:
+        yield digests
+    finally:
+        _recorders.remove(digests)
+
+
+_recorders: list[set[str]] = []
+"""The sets of `recorded_digests`."""
 
 
 def _function(library: Any, name: str) -> Any:

@@ -13,14 +13,15 @@ import os
 import platform
 import shlex
 import shutil
-import signal
 import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from auv_gym.codegen.cache import BUILD, cache_folders, mark_used, open_own, own_folder, remove_unused
 from auv_gym.codegen.cache import CACHE as CACHE  # noqa: PLC0414, exported by this module
@@ -41,19 +42,19 @@ _MANY = ("-O1", "-fopenmp-simd")
 
 -O2 takes twice the time of -O1 and makes the code no faster: the equations have no branches, and the loops over
 vehicles are marked as parallel."""
-TUNED = ("-march=native", "-fno-ivopts")
+TUNING_FLAGS = ("-march=native", "-fno-ivopts")
 """Flags for this processor, and without a slow search for loop counters by gcc; left out if a compiler refuses them."""
 _PATIENCE = 60.0
-"""Time limit of a compiler [s]. A compiler that exceeds it is not used again."""
+"""Time limit of a compiler [s]."""
 _TRIAL = "#include <math.h>\n#include <stdint.h>\ndouble auv_trial(double x) { return floor(x); }\n"
 """Source that a compiler must be able to build before it is used."""
 _SYSCTL = "/usr/sbin/sysctl"  # prints the name of the processor on macOS
+_PROCESSOR = ("model name", "flags", "features", "facilities", "cpu", "isa", "uarch", "cpu implementer", "cpu part")
+"""Entries of /proc/cpuinfo that identify the instruction set on x86, Arm, s390, POWER and RISC-V."""
 _PYTHON = "so equations run as Python, several times slower"
 """Consequence if no code can be compiled."""
 _AGAIN = "so each process compiles again, which takes seconds"
 """Consequence if compiled code cannot be kept."""
-_hung: set[str] = set()
-"""Programs that have exceeded `_PATIENCE`."""
 _refused: dict[Path, str] = {}
 """Folders in which no library could be built and loaded, with the reasons."""
 _logged: set[str] = set()
@@ -82,8 +83,8 @@ def compiler() -> tuple[str, str] | None:
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             reason = f"{name}: {_reason(error)}"
         else:
-            made, reason = _library(command, version, _TRIAL, (*_FLAGS, *_EXACT, *TUNED))
-            if made is not None:
+            trial, reason = _library(command, version, _TRIAL, lambda: _TRIAL, (*_FLAGS, *_EXACT, *TUNING_FLAGS))
+            if trial is not None:
                 return command, version
         logger.info("this compiler does not work: %s", reason)
         reasons.append(reason)
@@ -98,57 +99,60 @@ def _warn(problem: str, consequence: str) -> None:
         logger.warning("auv_gym: %s, %s", problem, consequence)
 
 
-@cache
-def library(source: str, *, many: bool = True) -> ctypes.CDLL | None:
+def has_compiler() -> bool:
+    """Return whether code can be compiled."""
+    return wanted() and compiler() is not None
+
+
+def library(digest: str, source: Callable[[], str], *, many: bool = True) -> ctypes.CDLL | None:
     """Return the library of a C source, from the cache if possible; None if it cannot be compiled.
 
-    Without `many` the compilation takes a fraction of the time, and the code is as fast for one vehicle.
+    Args:
+        digest: a hash that identifies the source.
+        source: returns the source; called only if it must be compiled.
+        many: for several vehicles at once. Without it the compilation takes a fraction of the time, and the code is as
+            fast for one vehicle.
     """
-    if not wanted() or (found := compiler()) is None:
+    if not wanted() or (program := compiler()) is None:
         return None
-    made, reason = _library(*found, source, (*_FLAGS, *_EXACT, *TUNED, *(_MANY if many else _ONE)))
-    if reason:
-        _warn(reason, _PYTHON if made is None else _AGAIN)
-    return made
+    key = digest, many
+    if key not in _libraries:
+        flags = (*_FLAGS, *_EXACT, *TUNING_FLAGS, *(_MANY if many else _ONE))
+        _libraries[key], reason = _library(*program, digest, source, flags)
+        if reason:
+            _warn(reason, _PYTHON if _libraries[key] is None else _AGAIN)
+    return _libraries[key]
 
 
-def _library(command: str, version: str, source: str, flags: tuple[str, ...]) -> tuple[ctypes.CDLL | None, str]:
+_libraries: dict[tuple[str, bool], ctypes.CDLL | None] = {}
+"""The libraries of this process by digest, and by whether they are for several vehicles; None: not compiled."""
+
+
+def _library(
+    command: str, version: str, identity: str, source: Callable[[], str], flags: tuple[str, ...]
+) -> tuple[ctypes.CDLL | None, str]:
     """Return the library of a source, or None; and the reason why the first folder could not be used, or ""."""
-    build = (command, version, *flags, platform.machine(), sys.platform, _processor())
-    key = "\0".join((source, *build, str(struct.calcsize("P"))))
-    digest, reasons = hashlib.sha256(key.encode()).hexdigest()[:32], list[str]()
-    mark = f"auv_gym_{digest}"  # a symbol that identifies the library of this source
+    machine = platform.machine(), sys.platform, _processor(), str(struct.calcsize("P"))
+    digest = hashlib.sha256("\0".join((identity, command, version, *flags, *machine)).encode()).hexdigest()[:32]
+    reasons: list[str] = []
     for folder in cache_folders():
         file = folder / f"{digest}.so"
-        with suppress(OSError, AttributeError), open_own(file):
-            made = _loaded(file, mark)
+        with suppress(OSError), open_own(file):
+            made = ctypes.CDLL(str(file))
             mark_used(file)
             return made, "".join(reasons[:1])
         try:
             if folder not in _refused:
-                if source != _TRIAL and not _refused:
+                if identity != _TRIAL and not _refused:
                     _announce()
-                made = _built(command, f"{source}\nint {mark}(void) {{ return 1; }}\n", file, mark, flags)
-                return made, "".join(reasons[:1])
+                return _built(command, source(), file, flags), "".join(reasons[:1])
         except subprocess.SubprocessError as error:
             reasons.append(f"{command}: {_reason(error)}")
-        except (OSError, AttributeError) as error:
+        except OSError as error:
             _refused[folder] = f"compiled code cannot be kept in {folder}: {_reason(error)}"
         if folder in _refused:
             reasons.append(_refused[folder])
     return None, "".join(reasons[:1]) or "there is no folder for compiled code"
-
-
-def _loaded(file: Path, mark: str) -> ctypes.CDLL:
-    """Return the library of a file.
-
-    Raises:
-        OSError: it cannot be loaded.
-        AttributeError: it does not have the symbol `mark`.
-    """
-    made = ctypes.CDLL(str(file))
-    made[mark]
-    return made
 
 
 @cache
@@ -164,10 +168,6 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.partition(":")[0].strip().lower() in _PROCESSOR}))
 
 
-_PROCESSOR = ("model name", "flags", "features", "facilities", "cpu", "isa", "uarch", "cpu implementer", "cpu part")
-"""Entries of /proc/cpuinfo that identify the instruction set on x86, Arm, s390, POWER and RISC-V."""
-
-
 @cache
 def _announce() -> None:
     """Print why the first use on a machine takes longer."""
@@ -178,12 +178,11 @@ def _announce() -> None:
     )
 
 
-def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, ...]) -> ctypes.CDLL:
+def _built(command: str, source: str, file: Path, flags: tuple[str, ...]) -> ctypes.CDLL:
     """Build a library, load it, then move its file into place; concurrent builds leave one complete file.
 
     Raises:
         OSError: it cannot be written or loaded.
-        AttributeError: it does not have the symbol `mark`.
         SubprocessError: the compiler fails.
     """
     remove_unused(own_folder(file.parent))
@@ -193,53 +192,32 @@ def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, .
         try:
             _compile(command, source, made, flags)
         except subprocess.CalledProcessError:
-            _compile(command, source, made, tuple(flag for flag in flags if flag not in TUNED))
+            _compile(command, source, made, tuple(flag for flag in flags if flag not in TUNING_FLAGS))
         made.chmod(0o755)  # not writable by other users, whatever the umask
-        found = _loaded(made, mark)
+        library = ctypes.CDLL(str(made))
         try:
             made.replace(file)
         except PermissionError:
             if sys.platform != "win32" or not file.exists():  # Windows replaces no library that another process uses
                 raise
-    return found
+    return library
 
 
 def _compile(command: str, source: str, made: Path, flags: tuple[str, ...]) -> None:
-    _run([*shlex.split(command), *flags, "-x", "c", "-", "-o", str(made), "-lm"], source, made.parent)
+    words = [*shlex.split(command), *flags, "-x", "c", "-", "-o", str(made), "-lm"]
+    _run(words, input=source.encode(), env={**os.environ, "TMPDIR": str(made.parent)})
 
 
-def _run(words: list[str], given: str = "", folder: Path | None = None) -> bytes:
-    """Return the output of a program; kill it and its child processes if it exceeds the time limit.
-
-    Args:
-        words: the command.
-        given: its standard input.
-        folder: for its temporary files.
+def _run(words: list[str], **options: Any) -> bytes:
+    """Return the output of a program.
 
     Raises:
         OSError: it cannot be started.
-        SubprocessError: it fails, or has exceeded `_PATIENCE`, now or in an earlier call.
+        SubprocessError: it fails, or exceeds `_PATIENCE`.
     """
-    if (program := os.path.realpath(words[0])) in _hung:
-        raise subprocess.TimeoutExpired(words, _PATIENCE)
-    pipe, more = subprocess.PIPE, {} if folder is None else {"TMPDIR": str(folder)}
-    with subprocess.Popen(
-        words, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True, env={**os.environ, **more}
-    ) as process:
-        try:
-            out, errors = process.communicate(given.encode(), _PATIENCE)
-        except BaseException as error:
-            if isinstance(error, subprocess.TimeoutExpired):
-                _hung.add(program)
-            with suppress(OSError):
-                if sys.platform == "win32":
-                    process.kill()
-                else:
-                    os.killpg(process.pid, signal.SIGKILL)
-            raise
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, words, out, errors)
-    return out
+    done = subprocess.run(words, capture_output=True, check=True, timeout=_PATIENCE, **options)
+    output: bytes = done.stdout
+    return output
 
 
 def _reason(error: Exception) -> str:

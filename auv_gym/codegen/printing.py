@@ -1,4 +1,4 @@
-"""Printers of a graph: Python on floats or NumPy rows, and C for many vehicles; the syntax of C and JavaScript."""
+"""Printers of a graph: Python on floats or NumPy rows, and C for many vehicles."""
 
 from __future__ import annotations
 
@@ -45,29 +45,16 @@ PYTHON = Language(
         **ARITHMETIC,
         **{name: f"{name}({{0}})" for name in FUNCTIONS},
         "arctan2": "arctan2({0}, {1})",
-        "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
-        "where": "({1} if {0} else {2})",
-        "and": "({0} and {1})",
-        "or": "({0} or {1})",
-        "not": "(not {0})",
-    },
-    frozenset(("clip",)),
-    _python_number,
-)
-"""Python on floats."""
-NUMPY = Language(
-    {
-        **PYTHON.forms,
         "clip": "clip({0}, {1}, {2})",
         "where": "where({0}, {1}, {2})",
         "and": "({0} & {1})",
         "or": "({0} | {1})",
-        "not": "(~{0})",
+        "not": "({0} ^ True)",
     },
     frozenset(),
     _python_number,
 )
-"""Python on NumPy rows of shape (N,)."""
+"""Python, on floats or on NumPy rows of shape (N,), whose functions are those of a `Namespace`."""
 
 
 def c_language(precision: str) -> Language:
@@ -94,33 +81,6 @@ def c_language(precision: str) -> Language:
         "not": "(!{0})",
     }
     return Language(forms, frozenset(("clip",)), number)
-
-
-def _javascript_number(value: float | bool) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if not math.isfinite(value):
-        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "(-Infinity)"
-    text = repr(value).removesuffix(".0")
-    return f"({text})" if text[0] == "-" else text
-
-
-JAVASCRIPT = Language(
-    {
-        **ARITHMETIC,
-        **{name: f"Math.{name}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor", "abs")},
-        "arctan2": "Math.atan2({0}, {1})",
-        "single": "Math.fround({0})",
-        "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
-        "where": "({0} ? {1} : {2})",
-        "and": "({0} && {1})",
-        "or": "({0} || {1})",
-        "not": "(!{0})",
-    },
-    frozenset(("clip",)),
-    _javascript_number,
-)
-"""JavaScript. Its numbers are of double precision, and it does not contract a product with a sum."""
 
 
 def written_statements(
@@ -159,10 +119,10 @@ def written_statements(
     return statements, [text[s.index] for s in outputs]
 
 
-def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequence[Symbol], language: Language) -> str:
+def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequence[Symbol]) -> str:
     """Return the source of a Python function that takes a sequence for each array and returns a tuple of results."""
     inputs = {s.node[1]: s.node[1] for rows in arguments.values() for s in rows}
-    statements, outputs = written_statements(graph, results, language, inputs)
+    statements, outputs = written_statements(graph, results, PYTHON, inputs)
     lines = [f"def {name}({', '.join(arguments)}):"]
     lines += [f"    {', '.join(s.node[1] for s in rows)}, = {array}" for array, rows in arguments.items() if rows]
     lines += [f"    {target} = {expression}" for target, expression, _ in statements]
@@ -225,7 +185,7 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
     """
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
-    given = {s.node[1]: layout.entry(array, j) for array, own in arguments.items() for j, s in enumerate(own)}
+    places = {s.node[1]: layout.entry(array, j) for array, rows in arguments.items() for j, s in enumerate(rows)}
     statements, texts = written_statements(
         graph, wanted, c_language(layout.precision), {entry: entry for entry in read}
     )
@@ -236,13 +196,13 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
         "#pragma omp simd",
         "for (long i = 0; i < n; i++) {",
     ]
-    lines += [f"const real {entry} = {given[entry]};" for entry in sorted(read)]
+    lines += [f"const real {entry} = {places[entry]};" for entry in sorted(read)]
     lines += [f"const {'int' if truth else 'real'} {target} = {text};" for target, text, truth in statements]
     values = iter(texts)
     for array, entries in results.items():
         for j, entry in enumerate(entries):
             target, value = layout.entry(array, j), next(values)
-            if given.get(value) != target:  # an unchanged entry is not written
+            if places.get(value) != target:  # an unchanged entry is not written
                 truth = graph.nodes[entry.index][0] in TRUTHS
                 lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")
     return "\n".join((*lines, "}", "}", *C_CLOSING, "}")) + "\n"

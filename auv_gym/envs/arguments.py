@@ -16,32 +16,35 @@ from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 
+ScenarioLike = Scenario | str | Mapping[str, Any]
+"""A scenario, its dict, its file, or the name of a preset."""
+VehicleLike = Vehicle | VehicleModel | str | Mapping[str, Any]
+"""A vehicle, its model, its dict, its file, or the name of a vehicle."""
+
 
 def scenarios_of(
-    scenario: Any,
+    scenario: ScenarioLike | Sequence[ScenarioLike],
     num_envs: int,
-    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
-    control_dt: float | None,
+    vehicle: VehicleLike | None = None,
+    control_dt: float | None = None,
 ) -> list[Scenario]:
-    """Return the scenario of each of N sub-environments.
-
-    Args:
-        scenario: one for all, in a form that `presets.as_scenario` accepts, or a sequence of N.
-        num_envs: N.
-        vehicle: replaces the known vehicle of the scenarios.
-        control_dt: control period [s], replaces that of the scenarios.
+    """Return the scenario of each of N sub-environments; for the arguments see `UnderactuatedAUVTrackVectorEnv`.
 
     Raises:
-        ValueError: a wrong number of scenarios, different numbers of substeps, or a wrong scenario.
+        ValueError: a wrong number of sub-environments or scenarios, different numbers of substeps, or a wrong scenario.
     """
-    several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
-    given = list(scenario) if several else [scenario]
-    if several and len(given) != num_envs:
-        raise ValueError(f"{len(given)} scenarios are given for {num_envs} sub-environments; give one, or one for each")
-    made = [changed(as_scenario(s), vehicle, control_dt) for s in given]
-    if len({s.substeps for s in made}) > 1:
+    if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+        raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
+    if isinstance(scenario, (Scenario, str, Mapping)) or not isinstance(scenario, Iterable):
+        return [changed(as_scenario(scenario), vehicle, control_dt)] * num_envs
+    scenarios = [changed(as_scenario(s), vehicle, control_dt) for s in scenario]
+    if len(scenarios) != num_envs:
+        raise ValueError(
+            f"{len(scenarios)} scenarios are given for {num_envs} sub-environments; give one, or one for each"
+        )
+    if len({s.substeps for s in scenarios}) > 1:
         raise ValueError("the scenarios have different substeps; in a vector environment they must be equal")
-    return made if several else made * num_envs
+    return scenarios
 
 
 def checked_steps(max_episode_steps: int | None) -> int:

@@ -7,14 +7,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from auv_gym.envs.spaces import checked_action, checked_actions, with_action
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.envs.vector_api import AutoresetMode, VectorEnv, VectorWrapper
-from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.policy import Policy, checked_authority, corrected, traceable
 
 
@@ -35,12 +35,9 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
 
     def __init__(self, env: gym.Env[Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
-        self.expert = expert
-        self.authority = checked_authority(authority)
+        self.expert, self.authority = expert, checked_authority(authority)
         self.observation_space = with_action(env.observation_space)
-        self._compiled = isinstance(env, UnderactuatedAUVTrackEnv) and traceable(expert)
-        if self._compiled:
-            env.correct(expert, self.authority)  # type: ignore[attr-defined]
+        self._compiled = _added(expert, self.authority, env)
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros(2, dtype=np.float32)
 
@@ -60,8 +57,7 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         """
         if self._compiled:
             return self.env.step(action)  # type: ignore[return-value]
-        (c_u, c_r), (a_u, a_r), (base_u, base_r) = checked_action(action), self.authority, self._base.tolist()
-        command = np.array((corrected(base_u, a_u, c_u, FLOATS), corrected(base_r, a_r, c_r, FLOATS)))
+        command = corrected(self._base, np.array(self.authority), np.array(checked_action(action)), ARRAYS)
         observation, reward, terminated, truncated, info = self.env.step(command)
         return self._extended(observation, False), float(reward), terminated, truncated, info
 
@@ -70,32 +66,21 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         return np.concatenate((observation, self._base))
 
 
-class VectorResidualAction(
-    VectorWrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[Any]]
-):
+class VectorResidualAction(VectorWrapper):
     """`ResidualAction` for a vector environment in any autoreset mode, with one expert for all sub-environments.
 
     The expert's memory is None or a tuple of arrays whose first axis is that of the sub-environments.
 
-    Args:
-        env: a vector environment with this package's observation and action space.
-        expert: a policy whose memory is the `state` of `predict`.
-        authority: see `ResidualAction`.
-
-    Raises:
-        ValueError: an authority is not in (0, 2].
+    Arguments and errors are those of `ResidualAction`.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
-        self.expert = expert
-        self.authority = checked_authority(authority)
+        self.expert, self.authority = expert, checked_authority(authority)
         self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self._compiled = isinstance(env, UnderactuatedAUVTrackVectorEnv) and traceable(expert)
-        if self._compiled:
-            env.correct(expert, self.authority)  # type: ignore[attr-defined]
+        self._compiled = _added(expert, self.authority, env)
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
         self._over = np.zeros(env.num_envs, dtype=bool)  # whether the next step begins an episode
@@ -151,6 +136,14 @@ class VectorResidualAction(
         """
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
         return self.expert.predict(observation, memory, np.full(len(observation), first))
+
+
+def _added(expert: Policy, authority: tuple[float, float], env: Any) -> bool:
+    """Add a control law to the compiled step of an environment of this package; return whether that is possible."""
+    possible = isinstance(env, (UnderactuatedAUVTrackEnv, UnderactuatedAUVTrackVectorEnv)) and traceable(expert)
+    if possible:
+        env.add_residual(expert, authority)
+    return possible
 
 
 def _replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

@@ -42,8 +42,8 @@ class ShaftAction(gym.ActionWrapper[NDArray[np.float64], NDArray[np.float32], ND
 
     def action(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the action of the wrapped environment for revolutions and rudder angle."""
-        own: Any = self.env.unwrapped
-        actions = self._shafts.action(np.array(checked_action(action))[None], own.state[None], own.current[None])
+        env: Any = self.env.unwrapped
+        actions = self._shafts.action(np.array(checked_action(action))[None], env.state[None], env.current[None])
         first: NDArray[np.float32] = actions[0]
         return first
 
@@ -57,8 +57,8 @@ class VectorShaftAction(VectorActionWrapper):
 
     def actions(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the actions of the wrapped environment for revolutions and rudder angles, shape (N, 2)."""
-        own: Any = self.env.unwrapped
-        return self._shafts.action(checked_actions(actions, self.num_envs), own.state, own.current)
+        env: Any = self.env.unwrapped
+        return self._shafts.action(checked_actions(actions, self.num_envs), env.state, env.current)
 
 
 class _Shafts:

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache, reduce
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
-from auv_gym.envs.vector_api import Autoreset, AutoresetMode, checked_mode
-from auv_gym.physics.namespaces import ARRAYS, Array, Indices
+from auv_gym.envs.arguments import checked_reset, checked_steps, seeded
+from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.physics.rows import flatten, spread
-from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.planning.planner import Planner
 from auv_gym.scenarios.drawing import Drawing, drawn_as_rows
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import RandomPath, Scenario
-from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import STATES, started
-from auv_gym.task.observation import Observation, check_reference, decode, reference_bounds
-from auv_gym.task.policy import Forces
-from auv_gym.task.preview import Preview, encode_preview
+from auv_gym.task.policy import Law
+from auv_gym.task.preview import Preview, with_preview
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
-
-ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # largest number of control steps that are read at once
 BLOCK_SAMPLES = 2**15  # largest number of vehicles times control steps that are read at once; it bounds the memory
@@ -51,67 +45,53 @@ class StartedEpisodes(NamedTuple):
 
     indices: Indices  # of the sub-environments, shape (n,)
     plant: Array  # rows of their `simulation.Plant`, shape (PLANT_ROWS, n)
-    seen: Array  # first observations without previews, shape (columns, n), see `kernels.started`
+    observation: Array  # first observations without previews, shape (columns, n), see `kernels.started`
     errors: Array  # [m] position errors, shape (n,)
 
 
 class SubEnvironments:
-    """N sub-environments without the simulation: drawing and planning of episodes, samples, previews, autoreset.
-
-    It runs on the host for every back end.
+    """N sub-environments without the simulation: drawing and planning of episodes, samples, previews.
 
     Args:
-        num_envs: N.
-        scenario: a scenario, or a sequence of N.
-        vehicle: replaces the known vehicle of the scenarios.
-        control_dt: control period [s], replaces that of the scenarios.
+        scenarios: the scenario of each sub-environment, with equal `substeps`.
         preview: control periods ahead, see `Preview`.
-        autoreset_mode: when the next episode begins after the end of one.
         max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
 
     Attributes:
         all: the indices of all sub-environments, shape (N,).
-        scenarios: the scenario of each sub-environment.
+        scenarios: the scenario of each sub-environment; a change has an effect from its next episode on.
         started: whether all sub-environments have been reset.
         samples: a block of samples, shape (block, SAMPLE_ROWS, N).
         row: index of the present sample in the block; -1 if it was the last one of the previous block.
-        blocks: number of blocks read so far.
         constants: the rows of `parameters`, shape (PARAMETER_ROWS, N).
         k: control steps since the reset of each sub-environment, shape (N,).
-        forces: of the control law whose actions are appended to observations; None without one.
+        law: the control law whose actions are appended to observations; None without one.
         preview: positions of the references ahead.
-        autoreset: the sub-environments whose episodes are over.
 
     Raises:
-        ValueError: a wrong number of sub-environments, scenarios or steps, an unknown mode, or a wrong scenario.
+        ValueError: a wrong preview or number of steps.
     """
 
     def __init__(
         self,
-        num_envs: int,
-        scenario: ScenarioLike | Sequence[ScenarioLike],
-        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
-        control_dt: float | None,
+        scenarios: Sequence[Scenario],
         preview: Sequence[int] = (),
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         max_episode_steps: int | None = None,
     ) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
-        self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
+        num_envs = len(scenarios)
+        self.scenarios = list(scenarios)
         self.all: Indices = np.arange(num_envs)
         self.started = False
-        self.forces: Forces | None = None
-        self._generators: list[np.random.Generator | None] = [None] * num_envs  # made when first used
+        self.law: Law | None = None
+        self._generators: list[Any] = [None] * num_envs  # random generators, made when first used
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
         self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
-        self.autoreset = Autoreset(num_envs, checked_mode(autoreset_mode))
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self._exogenous = ExogenousInputs(num_envs, block)
         self.preview = Preview(num_envs, preview, int(self._steps.max()))
-        self._fixed_tables: dict[tuple[Any, ...], Array] = {}  # of scenarios with a fixed path
-        self.samples, self.row, self.blocks = np.zeros((block, SAMPLE_ROWS, num_envs)), 0, 0
+        self._fixed_tables: dict[tuple[int, Planner], Array] = {}  # by fixed path and planner
+        self.samples, self.row = np.zeros((block, SAMPLE_ROWS, num_envs)), 0
         self._previous = self.samples[0]  # the last sample of the previous block
         self.constants = np.ones((PARAMETER_ROWS, num_envs))
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
@@ -160,32 +140,28 @@ class SubEnvironments:
         """
         indices, choices = checked_reset(options, len(self.all), self.started)
         generators = seeded(self._generators, seed)
-        planned = self.ready(indices, generators, choices)
+        planned = self.next_episodes(indices, generators, choices)
         for i in indices.tolist():
             self._generators[i] = generators[i]
         return self.begin(indices, planned)
 
-    def next_episodes(self, indices: Indices) -> list[ReadyEpisodes]:
-        """Return a planned episode for each of these sub-environments.
-
-        Raises:
-            ValueError: see `Scenario.drawn`; nothing has changed then.
-        """
-        return self.ready(indices, self._generators, None)
-
-    def ready(
-        self, indices: Indices, generators: Sequence[Any], choices: Sequence[Mapping[str, Any]] | None
+    def next_episodes(
+        self,
+        indices: Indices,
+        generators: Sequence[Any] | None = None,
+        choices: Sequence[Mapping[str, Any]] | None = None,
     ) -> list[ReadyEpisodes]:
         """Return a planned episode for each of these sub-environments.
 
         Args:
             indices: of the sub-environments, shape (n,).
-            generators: N random generators.
+            generators: N random generators; None for those of the last resets.
             choices: checked options of `reset` for N sub-environments; None without any.
 
         Raises:
             ValueError: see `Scenario.drawn`; nothing has changed then.
         """
+        generators = generators or self._generators
         states = {i: generators[i].bit_generator.state for i in indices.tolist()}
         single: list[int] = []  # positions in `indices` of the episodes that are drawn one by one
         groups: dict[int, list[int]] = {}  # those of the episodes that are drawn as rows, by scenario
@@ -194,65 +170,56 @@ class SubEnvironments:
                 single.append(place)
             else:
                 groups.setdefault(id(self.scenarios[i]), []).append(place)
-        found: list[ReadyEpisodes] = []
+        planned: list[ReadyEpisodes] = []
         try:
             for places in map(np.array, groups.values()):
                 scenario = self.scenarios[int(indices[places[0]])]
                 if len(places) < FEWEST_ROWS or not drawn_as_rows(scenario):
                     single += places.tolist()
                     continue
-                own = [generators[i] for i in indices[places].tolist()]
-                rows, refused = self._rows(scenario, places, own)
+                rows, refused = self._rows(scenario, places, [generators[i] for i in indices[places].tolist()])
                 for place in refused:
                     generators[indices[place]].bit_generator.state = states[int(indices[place])]
-                found += rows
+                planned += rows
                 single += refused
             for place in single:
                 i = int(indices[place])
-                found.append(self._single(self.scenarios[i], place, generators[i], choices[i] if choices else {}))
+                planned.append(self._single(self.scenarios[i], place, generators[i], choices[i] if choices else {}))
         except ValueError:
             for i, state in states.items():
                 generators[i].bit_generator.state = state
             raise
-        return found
+        return planned
 
     def _rows(
         self, scenario: Scenario, places: Indices, generators: Sequence[np.random.Generator]
     ) -> tuple[list[ReadyEpisodes], list[int]]:
         """Return planned episodes of a scenario, drawn as rows, and the places of those that are infeasible."""
         drawing = Drawing(scenario, generators)
-        tables: list[Array | None] = [None] * len(places)
+        tables: dict[int, Array | None] = {}
         if not isinstance(scenario.path, RandomPath):
-            tables = [self.fixed_table(scenario)] * len(places)
-        planner = planner_of(*plan_of(scenario))
+            tables = dict.fromkeys(range(len(places)), self.table(scenario, scenario.path))
         for members, stacked in drawing.paths:
-            for j, table in zip(members.tolist(), planner.tables(stacked, len(members)), strict=True):
-                tables[j] = table
-        refused = [j for j, table in enumerate(tables) if table is None]
-        kept = np.array([j for j, table in enumerate(tables) if table is not None])
-        if len(kept) < FEWEST_ROWS:
+            tables |= zip(members.tolist(), scenario.planner.tables(stacked, len(members)), strict=True)
+        feasible = {j: table for j, table in sorted(tables.items()) if table is not None}
+        if len(feasible) < FEWEST_ROWS:
             return [], places.tolist()
-        episodes = drawing.episodes(kept)
-        constants = spread(flatten(scenario.constants(episodes)), len(kept))
-        paths = drawing.single(kept) if self.preview.periods else []
-        feasible, seeds = [table for table in tables if table is not None], [drawing.seeds[j] for j in kept.tolist()]
-        rows = ReadyEpisodes(places[kept], scenario, episodes, feasible, seeds, constants, paths)
-        return [rows], places[refused].tolist()
+        members = np.array([*feasible])
+        episodes = drawing.episodes(members)
+        constants = spread(flatten(scenario.constants(episodes)), len(members))
+        paths = drawing.single(members) if self.preview.periods else []
+        seeds = [drawing.seeds[j] for j in feasible]
+        rows = ReadyEpisodes(places[members], scenario, episodes, [*feasible.values()], seeds, constants, paths)
+        return [rows], np.delete(places, members).tolist()
 
     def _single(
         self, scenario: Scenario, place: int, rng: np.random.Generator, options: Mapping[str, Any]
     ) -> ReadyEpisodes:
         """Return one planned episode: that of the options of `reset`, or a random feasible one."""
-
-        def table_of(episode: Episode) -> Array:
-            if episode.path is scenario.path:
-                return self.fixed_table(scenario)
-            return reference_table(episode.path, *plan_of(scenario), many=len(self.all) > 1)
-
-        if chosen := options.get("episode"):
-            episode, table = chosen, table_of(chosen)
+        if episode := options.get("episode"):
+            table = self.table(scenario, episode.path)
         else:
-            episode, table = scenario.drawn(rng, table_of)
+            episode, table = scenario.drawn(rng, lambda drawn: self.table(scenario, drawn.path))
         episode = with_options(episode, options)
         constants = spread(flatten(scenario.parameters(episode)), 1)
         places, seeds = np.array([place]), [episode.noise_seed]
@@ -261,23 +228,22 @@ class SubEnvironments:
     def begin(self, indices: Indices, ready: Sequence[ReadyEpisodes]) -> StartedEpisodes:
         """Start these episodes in n sub-environments and return their first states."""
         states, errors = self.load(indices, ready)
-        given = states, self.sample[:, indices], self.constants[:, indices], self.forces
-        return StartedEpisodes(indices, *started(self.parts, *given), errors)
+        sample, constants = self.sample[:, indices], self.constants[:, indices]
+        return StartedEpisodes(indices, *started(self.parts, states, sample, constants, self.law), errors)
 
     def load(self, indices: Indices, ready: Sequence[ReadyEpisodes]) -> tuple[Array, Array]:
         """Load episodes into n sub-environments; return their first states (STATES, n) and position errors (n,) [m]."""
         states, errors = np.empty((STATES, len(indices))), np.empty(len(indices))
         for places, scenario, episodes, tables, noise_seeds, constants, paths in ready:
-            own = indices[places]
-            self._exogenous.load_rows(own, scenario, episodes, tables, noise_seeds)
-            self.constants[:, own] = constants
-            self.preview.load(own, paths, scenario.control_dt, tables)
+            members = indices[places]
+            self._exogenous.load_rows(members, scenario, episodes, tables, noise_seeds)
+            self.constants[:, members] = constants
+            self.preview.load(members, paths, scenario.control_dt, tables)
             firsts: Any = tables[0][0].tolist() if len(tables) == 1 else np.array([table[0] for table in tables]).T
             states[:, places] = spread(episodes.initial_state(firsts), len(tables))
             errors[places] = np.hypot(*episodes.initial_error[:2])
         self.started = True
         self.k[indices], self._remaining = 0, 0
-        self.autoreset.over[indices] = False
         if self.row < 0:
             self._previous[:, indices] = self._exogenous.read(indices, 1)[0]
         self._exogenous.read_into(self.samples[max(self.row, 0) :], indices, indices)
@@ -287,80 +253,24 @@ class SubEnvironments:
         """Read the next block of samples."""
         self._previous = self.samples[-1].copy()
         self._exogenous.read_into(self.samples, self.all, self.all)
-        self.row, self.blocks = -1, self.blocks + 1
+        self.row = -1
 
     def with_preview(self, rows: Array, indices: Indices) -> Array:
         """Return the observations (SIZE, n) of n sub-environments with their previews, a new array (columns, n)."""
         if not self.preview.periods:
             return rows.copy()
-        ahead, o = self.preview.ahead(indices, self.k[indices]), Observation._make(decode(rows, ARRAYS))
-        return np.vstack((rows, encode_preview(ahead, o, ARRAYS, self.parts.span)))
+        return with_preview(rows, self.preview.ahead(indices, self.k[indices]), self.parts.bound_factor)
 
-    def fixed_table(self, scenario: Scenario) -> Array:
-        """Return the reference table of a scenario with a fixed path.
+    def table(self, scenario: Scenario, path: Path) -> Array:
+        """Return the reference table of a path in a scenario; that of a fixed path is planned once.
 
         Raises:
-            ValueError: see `reference_table`.
+            ValueError: see `Planner.table`.
         """
-        assert not isinstance(scenario.path, RandomPath)
-        key = id(scenario.path), plan_of(scenario)
+        planner, many = scenario.planner, len(self.all) > 1
+        if path is not scenario.path:
+            return planner.table(path, many=many)
+        key = id(path), planner
         if key not in self._fixed_tables:
-            self._fixed_tables[key] = reference_table(scenario.path, *plan_of(scenario), many=len(self.all) > 1)
+            self._fixed_tables[key] = planner.table(path, many=many)
         return self._fixed_tables[key]
-
-
-def plan_of(scenario: Scenario) -> tuple[float, int, Vehicle, float, float, float, int]:
-    """Return the arguments of `reference_table` after the path."""
-    s, act = scenario, scenario.actuators
-    return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
-
-
-def reference_table(
-    path: Path,
-    dt: float,
-    steps: int,
-    vehicle: Vehicle,
-    F_u_max: float,
-    F_r_max: float,
-    fin: float,
-    span: int,
-    *,
-    many: bool = True,
-) -> Array:
-    """Return the reference table of a path, shape (steps + 1, 8).
-
-    Args:
-        path: the path of an episode.
-        dt: control period [s].
-        steps: control steps of an episode.
-        vehicle: the known vehicle.
-        F_u_max: largest |F_u| [N].
-        F_r_max: largest |F_r| [N m].
-        fin: parameter of the fins [kg], see `actuators.Actuators`.
-        span: of the scenario, see `observation.bounds`.
-        many: see `planning.kernels.driver`.
-
-    Raises:
-        InfeasibleReferenceError: the path cannot be followed within these limits.
-        ValueError: the reference exceeds the bounds of observations.
-    """
-    planner = planner_of(dt, steps, vehicle, F_u_max, F_r_max, fin, span, many=many)
-    table = planner.table(path)
-    if table is None:  # one of these calls raises the error
-        table = planner.plan(path).table
-        check_reference(table, span)
-    return table
-
-
-def reference_tables(episodes: Sequence[Episode], *given: Any) -> list[Array]:
-    """Return the `reference_table` of the path of each episode, for its other arguments."""
-    return [reference_table(episode.path, *given) for episode in episodes]
-
-
-@lru_cache(maxsize=64)
-def planner_of(
-    dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float, span: int, *, many: bool = True
-) -> Planner:
-    """Return the planner of a scenario; for the arguments see `reference_table`."""
-    times: Array = dt * np.arange(steps + 1, dtype=np.float64)
-    return Planner(vehicle, times, (F_u_max, F_r_max), fin, reference_bounds(span), many=many)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,24 +13,21 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from auv_gym.envs.arguments import checked_seed
+from auv_gym.envs.arguments import ScenarioLike, VehicleLike, checked_seed
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
-from auv_gym.physics.namespaces import ARRAYS, FLOATS, Array
+from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.physics.rows import unflatten
-from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.rendering import PICTURE, Renderer, View, checked_size
 from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import VehicleModel
-from auv_gym.task.kernels import OneVehicle
-from auv_gym.task.observation import Observation, decoded_terms
+from auv_gym.task.kernels import Vehicles
+from auv_gym.task.observation import decoded_terms
 from auv_gym.task.policy import Law
-from auv_gym.task.preview import encode_preview, observation_bounds
-from auv_gym.task.simulation import CURRENT, PLANT, REFERENCE, Parameters, Plant, current_at, ground_state
+from auv_gym.task.preview import observation_bounds, with_preview
+from auv_gym.task.simulation import PLANT, REFERENCE, Parameters, Plant, Sample, current_at, ground_state
 
 _TRAIL = 1000  # largest number of past positions in a picture
 _ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of an action
@@ -123,8 +119,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     def __init__(
         self,
-        scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
+        scenario: ScenarioLike = "paper-circle",
+        vehicle: VehicleLike | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -144,14 +140,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._size = checked_size(render_size)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._sub_envs = SubEnvironments(1, self.scenario, None, None, preview)
-        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.span)
+        self._sub_envs = SubEnvironments([self.scenario], preview)
+        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.bound_factor)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
-        if isinstance(self.scenario.path, Path) and self.scenario.governor is None:
-            self._sub_envs.fixed_table(self.scenario)
-        self._law: Law | None = None
-        self._vehicle = OneVehicle(self.scenario.parts, self._sub_envs.samples, self._sub_envs.constants)
+        if isinstance(self.scenario.path, Path):
+            self._sub_envs.table(self.scenario, self.scenario.path)
+        self._set_vehicle()
         self._spec: EnvSpec | None = None
         self._k, self._row, self._block = self._steps, 0, len(self._sub_envs.samples)  # no episode yet
         self._over = True
@@ -179,15 +174,14 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         """
         checked, seed, sub_envs = checked_options(options), checked_seed(seed), self._sub_envs
         rng, self_seed = (self.np_random, None) if seed is None else seeding.np_random(seed)
-        ready = sub_envs.ready(sub_envs.all, [rng], [checked])
+        ready = sub_envs.next_episodes(sub_envs.all, [rng], [checked])
         if self_seed is not None:
             self._np_random, self._np_random_seed = rng, self_seed
         sub_envs.row = 0
-        states, _ = sub_envs.load(sub_envs.all, ready)
+        states, errors = sub_envs.load(sub_envs.all, ready)
         self._vehicle.start(states)
         self._k, self._row, self._over = 0, 0, False
-        error = math.hypot(*ready[0].episodes.initial_error[:2])
-        self._info = {"position_error": error, "saturated": False, "time": 0.0}
+        self._info = {"position_error": errors.item(), "saturated": False, "time": 0.0}
         if self.render_mode is not None:
             table = ready[0].tables[0]
             self._path, self._trail = table[:, :2], np.empty((self._steps + 1, 2))
@@ -197,7 +191,19 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             self._law.check(decoded_terms(observation))
         return observation, self._info
 
-    def correct(self, law: Law, authority: tuple[float, float]) -> None:
+    def _set_vehicle(self, law: Law | None = None, authority: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Make the vehicle; its actions are corrections to a control law if there is one."""
+        samples, constants = self._sub_envs.samples, self._sub_envs.constants
+        self._vehicle = Vehicles(self.scenario.parts, samples, constants, law, authority, undoable=False)
+        self._law = law
+        self._set_views()
+
+    def _set_views(self) -> None:
+        """Set the views of the arrays of the vehicle that a step reads and writes."""
+        arrays = self._vehicle.action, self._vehicle.outcome, self._vehicle.now.observation
+        self._action, self._outcome, self._observation = (array[:, 0] for array in arrays)
+
+    def add_residual(self, law: Law, authority: tuple[float, float]) -> None:
         """Interpret actions as corrections to a control law, and append the law's action to observations.
 
         This is `ResidualAction` in the compiled step. The next call must be `reset`.
@@ -205,45 +211,32 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         Raises:
             TypeError: the law branches on values of the observation.
         """
-        sub_envs = self._sub_envs
-        self._vehicle = OneVehicle(self.scenario.parts, sub_envs.samples, sub_envs.constants, law.forces, authority)
-        self._law, sub_envs.forces = law, law.forces
+        self._set_vehicle(law, authority)
         self.observation_space = with_action(self.observation_space)
         self._k, self._over = self._steps, True
 
     def _observed(self) -> Array:
         """Return a copy of the present observation with its preview."""
-        observation = self._vehicle.seen
         preview = self._sub_envs.preview
         if not preview.periods:
-            return observation.copy()
-        o = Observation._make(decoded_terms(observation))
-        return np.append(observation, encode_preview(preview.ahead((0,), self._k), o, ARRAYS, self.scenario.span))
+            return self._observation.copy()
+        rows = self._observation[:, None]
+        return with_preview(rows, preview.ahead((0,), self._k), self.scenario.bound_factor)[:, 0]
 
     def _record_position(self) -> None:
         """Append the position to the trail, and draw it in a window."""
-        self._trail[self._k] = self._vehicle.plant[[PLANT.x, PLANT.y]]
+        self._trail[self._k] = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0]
         if self.render_mode == "human":
             self.render()
 
-    @property
-    def _plant(self) -> Plant:
-        return unflatten(PLANT, self._vehicle.plant.tolist())
-
-    @property
-    def _sample(self) -> list[float]:
-        numbers: list[float] = self._sub_envs.samples[self._row].ravel().tolist()
-        return numbers
-
-    @property
-    def _V(self) -> tuple[float, float]:
-        """The current of the present sample, without shear."""
-        V_x, V_y = self._sample[CURRENT]
-        return V_x, V_y
-
-    @property
-    def _parameters(self) -> Parameters:
-        return Parameters.of(self._sub_envs.constants.ravel().tolist(), self.scenario.parts)
+    def _truth(self) -> tuple[Plant, Sample, Parameters]:
+        """Return plant, exogenous inputs and constants at this time."""
+        sub_envs = self._sub_envs
+        return (
+            unflatten(PLANT, self._vehicle.now.plant.ravel().tolist()),
+            Sample._make(sub_envs.samples[self._row].ravel().tolist()),
+            Parameters.of(sub_envs.constants.ravel().tolist(), self.scenario.parts),
+        )
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance one control period; see `gymnasium.Env.step`.
@@ -252,11 +245,11 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             ValueError: the action is not two finite numbers; nothing has changed then.
             ResetNeeded: the episode is over, or none has begun.
         """
+        finite = False
         if type(action) is _ARRAY and action.dtype in _REAL and action.shape == _SHAPE:
             surge, yaw = action.tolist()  # the same as `checked_action` in half the time
-            if not surge - surge == 0.0 == yaw - yaw:
-                checked_action(action)
-        else:
+            finite = surge - surge == 0.0 == yaw - yaw  # false for nan and infinity
+        if not finite:
             surge, yaw = checked_action(action)
         if self._over:
             raise ResetNeeded("the episode is over, or none has begun: call reset() before step()")
@@ -265,10 +258,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if row == self._block:
             self._sub_envs.read()
             self._row = row = 0
-        vehicle = self._vehicle
-        vehicle.action[0], vehicle.action[1] = surge, yaw
-        vehicle.step(row, 1)
-        reward, failed, error, saturated = vehicle.outcome.tolist()
+        self._action[0], self._action[1] = surge, yaw
+        self._vehicle.run(row, 1)
+        reward, failed, error, saturated = self._outcome.tolist()
         truncated, terminated = k >= self._steps, failed > 0.0
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": k * self._dt}
@@ -279,23 +271,24 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, self._V, self._parameters, FLOATS))
+        plant, sample, parameters = self._truth()
+        return np.array(ground_state(plant, (sample.V_x, sample.V_y), parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
         """The reference at this time in SI units."""
-        return ReferencePoint(*self._sample[REFERENCE])
+        return ReferencePoint(*self._truth()[1][REFERENCE])
 
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] of the actuators at this time; shape (2,)."""
-        return np.array((self._plant.F_u, self._plant.F_r))
+        return self._vehicle.now.plant[[PLANT.F_u, PLANT.F_r], 0]
 
     @property
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the position of the vehicle; shape (2,)."""
-        plant = self._plant
-        return np.array(current_at(plant.x, plant.y, self._V, self._parameters, FLOATS))
+        plant, sample, parameters = self._truth()
+        return np.array(current_at(plant.x, plant.y, (sample.V_x, sample.V_y), parameters, FLOATS))
 
     @property
     def time(self) -> float:
@@ -330,6 +323,11 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes except the renderer."""
         return {**self.__dict__, "_renderer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Set all attributes; views are made again."""
+        self.__dict__.update(state)
+        self._set_views()
 
     def close(self) -> None:
         """Close the window, if any."""

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
-from auv_gym.envs.sub_environments import ScenarioLike, StartedEpisodes, SubEnvironments
-from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
+from auv_gym.envs.sub_environments import StartedEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, Array
-from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.vehicles import VehicleModel
-from auv_gym.task.kernels import Bodies, MadeBodies, Vehicles
+from auv_gym.task.kernels import MakeSimulator, Simulator, Vehicles
 from auv_gym.task.observation import SIZE, decode
-from auv_gym.task.policy import Forces, Law
+from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds
 from auv_gym.task.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
 
@@ -62,7 +62,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self,
         num_envs: int = 1,
         scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
+        vehicle: VehicleLike | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -74,22 +74,26 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
             raise ValueError(
                 f"render_mode is {render_mode!r}; the vector environment does not draw, the scalar one does"
             )
-        self._sub_envs = SubEnvironments(
-            num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps
-        )
-        self.autoreset_mode = self._sub_envs.autoreset.mode
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            allowed = ", ".join(repr(m.value) for m in AutoresetMode)
+            raise ValueError(
+                f"unknown autoreset_mode {autoreset_mode!r}; allowed are {allowed}, or an AutoresetMode"
+            ) from None
+        self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
+        self._sub_envs = SubEnvironments(self.scenarios, preview, max_episode_steps)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.render_mode = None
-        self.scenarios = self._sub_envs.scenarios
-        bounds = observation_bounds(self._sub_envs.preview.periods, self._sub_envs.parts.span)
+        bounds = observation_bounds(self._sub_envs.preview.periods, self._sub_envs.parts.bound_factor)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._law: Law | None = None
-        self._vehicles: Bodies = self._made()
+        self.use_simulator(Vehicles)
         self._all = np.ones(num_envs, dtype=bool)
+        self._over = ~self._all  # whether an episode is over and the next one has not begun; not in mode SAME_STEP
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -101,17 +105,14 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         """
         started = self._sub_envs.reset(seed, options)
         self._begin(started)
+        self._over[started.indices] = False
         errors = np.zeros(self.num_envs)
         errors[started.indices] = started.errors
         mask = ~self._all
         mask[started.indices] = True
         return self._observed(), self._info(errors, ~self._all, mask)
 
-    def _made(self, forces: Forces | None = None, authority: tuple[float, float] = (0.0, 0.0)) -> Vehicles:
-        sub_envs = self._sub_envs
-        return Vehicles(sub_envs.parts, sub_envs.samples, sub_envs.constants, forces, authority)
-
-    def correct(self, law: Law, authority: tuple[float, float]) -> None:
+    def add_residual(self, law: Law, authority: tuple[float, float]) -> None:
         """Interpret actions as corrections to a control law, and append the law's actions to observations.
 
         This is `VectorResidualAction` in the compiled step. The next call must be `reset`.
@@ -119,24 +120,23 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         Raises:
             TypeError: the law branches on values of the observation.
         """
-        self._vehicles = self._made(law.forces, authority)
-        self._law, self._sub_envs.forces = law, law.forces
-        self._sub_envs.started = False
+        self.use_simulator(partial(Vehicles, law=law, authority=authority))
+        self._sub_envs.law = law
         self.single_observation_space = with_action(self.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
-    def embody(self, bodies: MadeBodies) -> None:
+    def use_simulator(self, make: MakeSimulator) -> None:
         """Use another simulator of the vehicles. The next call must be `reset`."""
         sub_envs = self._sub_envs
-        self._vehicles = bodies(sub_envs.parts, sub_envs.samples, sub_envs.constants)
+        self._vehicles = make(sub_envs.parts, sub_envs.samples, sub_envs.constants)
         sub_envs.started = False
 
     def _begin(self, started: StartedEpisodes) -> Array:
         """Set the first states of n episodes; return their observations, shape (n, columns)."""
-        self._vehicles.place(started.indices, started.plant, started.seen)
-        rows = self._sub_envs.with_preview(started.seen, started.indices)
-        if self._law is not None:
-            self._law.check(decode(rows[:SIZE], ARRAYS))
+        self._vehicles.place(started.indices, started.plant, started.observation)
+        rows = self._sub_envs.with_preview(started.observation, started.indices)
+        if (law := self._sub_envs.law) is not None:
+            law.check(decode(rows[:SIZE], ARRAYS))
         return rows.T
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
@@ -148,33 +148,38 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
             ResetNeeded: no episode has begun, or an episode is over in mode DISABLED; no vehicle has advanced.
         """
         commands, vehicles, sub_envs = checked_actions(actions, self.num_envs), self._running, self._sub_envs
-        resetting = sub_envs.autoreset.resetting
+        over, same = self._over, self.autoreset_mode == AutoresetMode.SAME_STEP
+        resetting = not same and over.any()
+        if resetting and self.autoreset_mode == AutoresetMode.DISABLED:
+            ended = np.flatnonzero(over).tolist()
+            raise ResetNeeded(f"the episodes of sub-environments {ended} are over: reset them with 'reset_mask'")
         sub_envs.next_sample()
         vehicles.action[:] = commands.T
         vehicles.step(sub_envs.row + 1)
-        reward, failed, errors, saturations = vehicles.now.outcome.copy()
+        reward, failed, errors, saturations = vehicles.outcome.copy()
         terminated, saturated, truncated = failed > 0, saturations > 0, sub_envs.truncating
-        if resetting is not None:
-            reward = np.where(resetting, 0.0, reward)
-            terminated, truncated = terminated & ~resetting, truncated & ~resetting
+        if resetting:
+            reward = np.where(over, 0.0, reward)
+            terminated, truncated = terminated & ~over, truncated & ~over
         done = terminated | truncated
-        to_reset = sub_envs.autoreset.to_reset(done)
+        to_reset = (done if same else over).nonzero()[0]
         try:
             planned = sub_envs.next_episodes(to_reset) if len(to_reset) else []
         except ValueError:
             vehicles.undo()
             raise
         sub_envs.advance()
-        sub_envs.autoreset.advance(done)
+        if not same:
+            self._over = done.copy()
         observation = self._observed()
         info: dict[str, Any] = {}
         if planned:
-            if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            if same:
                 final = np.empty(self.num_envs, dtype=object)  # None for the other sub-environments
                 for i in to_reset.tolist():
                     final[i] = observation[i].copy()
-                ended = {"final_info": self._info(errors * done, saturated & done, done), "_final_info": done.copy()}
-                info = {"final_obs": final, "_final_obs": done, **ended}
+                last = {"final_info": self._info(errors * done, saturated & done, done), "_final_info": done.copy()}
+                info = {"final_obs": final, "_final_obs": done, **last}
             started = sub_envs.begin(to_reset, planned)
             observation[to_reset], errors[to_reset] = self._begin(started), started.errors
             saturated[to_reset] = False
@@ -183,8 +188,9 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
 
     def _observed(self) -> Array:
         """Return a copy of the present observations with previews, shape (N, columns)."""
-        seen = self._vehicles.now.seen
-        rows = self._sub_envs.with_preview(seen, self._sub_envs.all) if self._sub_envs.preview.periods else seen
+        sub_envs, rows = self._sub_envs, self._vehicles.now.observation
+        if sub_envs.preview.periods:
+            rows = sub_envs.with_preview(rows, sub_envs.all)
         return rows.T.copy()
 
     def _info(self, errors: Array, saturated: Mask, mask: Mask | None = None) -> dict[str, Any]:
@@ -211,9 +217,9 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         return np.stack(ground_state(self._running.plant, current, parameters, ARRAYS), axis=1)
 
     @property
-    def position(self) -> Array:
-        """x, y [m], as in `state` in less time; shape (N, 2)."""
-        return self._running.now.plant[[PLANT.x, PLANT.y]].T
+    def pose(self) -> Array:
+        """x, y [m], psi [rad], as in `state` in less time; shape (N, 3)."""
+        return self._running.now.plant[[PLANT.x, PLANT.y, PLANT.psi]].T
 
     @property
     def reference(self) -> ReferencePoint:
@@ -229,8 +235,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
     @property
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the positions of the vehicles; shape (N, 2)."""
-        sub_envs, plant = self._sub_envs, self._running.plant
-        return np.stack(current_at(plant.x, plant.y, sub_envs.sample[CURRENT], sub_envs.parameters, ARRAYS), axis=1)
+        sub_envs, (x, y, _) = self._sub_envs, self.pose.T
+        return np.array(current_at(x, y, sub_envs.sample[CURRENT], sub_envs.parameters, ARRAYS)).T
 
     @property
     def load(self) -> Array:
@@ -244,7 +250,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         return self._sub_envs.time
 
     @property
-    def _running(self) -> Bodies:
+    def _running(self) -> Simulator:
         if not self._sub_envs.started:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._vehicles

@@ -86,7 +86,7 @@ class Response(NamedTuple):
     def of(lag: Number, F_u_rate: float, F_r_rate: float, dt: float) -> Response:
         """Return the exact discrete response for a command held over dt [s]; without lag a step acts at once."""
         if isinstance(lag, np.ndarray):
-            return Response(*np.array([Response.of(own, F_u_rate, F_r_rate, dt) for own in lag.tolist()]).T)
+            return Response(*np.array([Response.of(one, F_u_rate, F_r_rate, dt) for one in lag.tolist()]).T)
         if lag == 0:
             return Response(1.0, 1.0, F_u_rate * dt, F_r_rate * dt)
         gain = -math.expm1(-dt / lag)

@@ -16,7 +16,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, PARAMETERS, CrossTerms, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, PARAMETER_NAMES, CrossTerms, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -185,7 +185,7 @@ class RandomMismatch:
                 )
             for end in (0, 1):
                 true = self._true(row, [_ends(interval)[end] for interval in self._intervals])
-                Vehicle(**dict(zip(PARAMETERS, true, strict=False)))
+                Vehicle(**dict(zip(PARAMETER_NAMES, true, strict=False)))
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""

@@ -12,20 +12,20 @@ from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Array, Namespace, Number
 
-FAULTS = (
+FAULT_KINDS = (
     "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way",
     "all frozen", "heading frozen", "velocity frozen", "yaw rate frozen", "velocity missing", "position jump",
 )  # fmt: skip
 """Kinds of faults. A stuck actuator repeats its last command, a dead one gives no force, one that works one way gives
 no force astern or no torque to port. A frozen measurement keeps its last value; missing velocities u, v read zero. A
 jump adds a constant error to the measured position."""
-_CODE = {name: float(code) for code, name in enumerate(FAULTS, 1)}
+_CODE = {name: float(code) for code, name in enumerate(FAULT_KINDS, 1)}
 
 
 class Fault(NamedTuple):
     """A fault of an episode."""
 
-    kind: str  # one of `FAULTS`
+    kind: str  # one of `FAULT_KINDS`
     begin: float  # [s]
     end: float  # [s]
     jump: tuple[float, float] = (0.0, 0.0)  # x, y [m] of a position jump
@@ -45,8 +45,8 @@ class RandomFaults:
     jump: Interval = (1.0, 3.0)  # [m] size of a position jump
 
     def __post_init__(self) -> None:
-        if not isinstance(self.kinds, tuple) or not self.kinds or not set(self.kinds) <= set(FAULTS):
-            raise ValueError(f"faults kinds is {self.kinds!r}; it must be a tuple of some of: {', '.join(FAULTS)}")
+        if not isinstance(self.kinds, tuple) or not self.kinds or not set(self.kinds) <= set(FAULT_KINDS):
+            raise ValueError(f"faults kinds is {self.kinds!r}; it must be a tuple of some of: {', '.join(FAULT_KINDS)}")
         check_number("faults rate", self.rate, 0, 60)
         check_interval("faults time", self.time, 0, 1e4)
         check_interval("faults jump", self.jump, 0, 1e4)
@@ -54,13 +54,13 @@ class RandomFaults:
     def draw(self, rng: np.random.Generator, duration: float) -> tuple[Fault, ...]:
         """Return the faults of an episode of a duration [s], ordered by their begin."""
         count = int(rng.poisson(self.rate * duration / 60))
-        found = []
+        faults = []
         for begin in np.sort(rng.uniform(0.0, duration, count)).tolist():
             kind, angle = self.kinds[rng.integers(len(self.kinds))], rng.uniform(0.0, 2 * np.pi)
             size = draw(self.jump, rng.random) if kind == "position jump" else 0.0
             x, y = float(size * np.cos(angle)), float(size * np.sin(angle))
-            found.append(Fault(kind, begin, begin + draw(self.time, rng.random), (x, y)))
-        return tuple(found)
+            faults.append(Fault(kind, begin, begin + draw(self.time, rng.random), (x, y)))
+        return tuple(faults)
 
 
 def fault_rows(faults: Sequence[Fault], dt: float, instants: int) -> Array:

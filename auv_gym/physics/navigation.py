@@ -98,11 +98,11 @@ class FixFilter:
             times: durations [s] since the previous fix.
         """
         R = P = self.fix**2
-        C, found = 0.0, []
+        C, gains = 0.0, []
         for way, time in zip(ways, times, strict=True):
             D = math.sqrt(self.drift * way**2 + self.bias * time**2)
             P, C = P + 2 * D * C + D**2 + self.noise * time, C + D
             K = P / (P + R) if P > 0 else 1.0
             P, C = (1 - K) * P, (1 - K) * C
-            found.append(K)
-        return found
+            gains.append(K)
+        return gains

@@ -1,12 +1,12 @@
 """Converts nested NamedTuples of numbers to plain rows and back; it defines the position of each name in a row.
 
 class Point(NamedTuple):
-x: Number
-y: Number
+    x: Number
+    y: Number
 
 class Arrow(NamedTuple):
-foot: Point
-length: Number
+    foot: Point
+    length: Number
 
 places = numbered(Arrow)  # Arrow(foot=Point(x=0, y=1), length=2)
 arrow = unflatten(places, (0.5, 2.0, 3.0))  # Arrow(foot=Point(x=0.5, y=2.0), length=3.0)
@@ -43,22 +43,22 @@ def numbered(cls: type[T]) -> T:
 
 def flatten(tree: Any) -> tuple[Any, ...]:
     """Return the numbers of a nested NamedTuple as a row."""
-    found: tuple[Any, ...] = ()
+    numbers: tuple[Any, ...] = ()
     first = 0
     end = len(tree) - len(tree._field_defaults)
     for k in range(end):
         if isinstance(tree[k], tuple):
-            found += (*tree[first:k], *flatten(tree[k]))
+            numbers += (*tree[first:k], *flatten(tree[k]))
             first = k + 1
     rest: tuple[Any, ...] = tree[first:end]
-    return found + rest
+    return numbers + rest
 
 
 def unflatten(places: T, rows: Sequence[Any]) -> T:
     """Return the nested NamedTuple of a row of numbers, arrays or tensors; `places` is from `numbered`."""
     tree: Any = places
-    own = tree[: len(tree) - len(tree._field_defaults)]
-    made: T = type(tree)(*(unflatten(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
+    fields = tree[: len(tree) - len(tree._field_defaults)]
+    made: T = type(tree)(*(unflatten(place, rows) if isinstance(place, tuple) else rows[place] for place in fields))
     return made
 
 

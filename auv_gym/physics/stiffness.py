@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,11 +18,20 @@ up below 2.1."""
 AT_REST: Load = (0.0, 0.0, 0.0)  # surge, sway [m/s] and yaw rate [rad/s] of a vehicle at rest
 
 
+def longest_step(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> float:
+    """Return the longest integration step [s] for a vehicle, or for all of several in rows, see `fastest_rate`."""
+    return min(MAX_INTEGRATION_STEP, MAX_STIFFNESS / float(np.max(fastest_rate(coefficients, load, speeds))))
+
+
+def substeps_for(period: float, coefficients: Sequence[Any], load: Load) -> int:
+    """Return the smallest number of integration steps in a period [s] that are not too long, see `longest_step`."""
+    longest = longest_step(coefficients, load)
+    return next(n for n in itertools.count(1) if period / n <= longest)
+
+
 def check_step(h: float, coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> None:
-    """Raise ValueError if an integration step of h [s] is too long for a vehicle, see `fastest_rate`."""
-    rate = float(np.max(fastest_rate(coefficients, load, speeds)))
-    longest = min(MAX_INTEGRATION_STEP, MAX_STIFFNESS / rate)
-    if not h <= longest:
+    """Raise ValueError if an integration step of h [s] is too long, see `longest_step`."""
+    if not h <= (longest := longest_step(coefficients, load, speeds)):
         raise ValueError(
             f"an integration step, control_dt / substeps, is {h:.4g} s; it must be at most {longest:.3g} s for this "
             "vehicle and what acts on it, so raise substeps or lower control_dt"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETERS, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Vehicle
 
 POWERS: Mapping[str, tuple[float, float, float]] = {
     "1": (0, 0, 0),
@@ -34,7 +34,7 @@ POWERS: Mapping[str, tuple[float, float, float]] = {
 """Powers of length, time and mass in SI units."""
 DIMENSIONS: Mapping[str, str] = dict(
     zip(
-        PARAMETERS,
+        PARAMETER_NAMES,
         (
             *("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s", "kg/m", "kg/m", "kg m^2", "kg/m", "kg", "kg", "kg m"),
             *("kg/m", "kg", "kg m", "kg", "kg", "kg m", "kg", "kg m", "kg m"),

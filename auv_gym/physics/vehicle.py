@@ -80,7 +80,7 @@ class CrossTerms(NamedTuple):
         )
 
 
-PARAMETERS = (*Coefficients._fields, *CrossTerms._fields)
+PARAMETER_NAMES = (*Coefficients._fields, *CrossTerms._fields)
 """Names of the parameters, in the order of `Vehicle.all_coefficients`."""
 
 
@@ -91,7 +91,7 @@ def with_names(rows: Sequence[Number]) -> Coefficients:
 
 _LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
-_CROSS_TERMS = attrgetter(*CrossTerms._fields)
+_COEFFICIENTS, _CROSS_TERMS = attrgetter(*Coefficients._fields), attrgetter(*CrossTerms._fields)
 SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossTerms._fields[:-1])
 """Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
@@ -201,7 +201,7 @@ class Vehicle:
     def unchecked(cls, parameters: Sequence[Number]) -> Vehicle:
         """Return a vehicle of `all_coefficients` that are known to be valid, or of rows of those of N vehicles."""
         vehicle = object.__new__(cls)
-        vehicle.__dict__.update(zip(PARAMETERS, parameters, strict=False), speed=cls.speed)
+        vehicle.__dict__.update(zip(PARAMETER_NAMES, parameters, strict=False), speed=cls.speed)
         return vehicle
 
     @property
@@ -242,7 +242,7 @@ class Vehicle:
     @property
     def coefficients(self) -> Coefficients:
         """The parameters as the tuple that the equations unpack."""
-        return Coefficients(*(getattr(self, name) for name in Coefficients._fields))
+        return Coefficients._make(_COEFFICIENTS(self))
 
 
 PAPER_VEHICLE = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0)

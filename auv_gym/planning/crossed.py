@@ -57,8 +57,8 @@ def steady_sideslips(along: Array, acting: Array) -> tuple[Array, Array]:
         along: the rows of `RATES` at the samples, shape (6, n).
         acting: see `Vehicle.acting`; with cross terms.
     """
-    found = _steady(len(acting))(along=along, vehicle=acting)
-    return found["w"][0], found["rate"][0]
+    results = _steady(len(acting))(along=along, vehicle=acting)
+    return results["w"][0], results["rate"][0]
 
 
 def sideslips(along: Array, first: float, acting: Array, h: float) -> Array:
@@ -71,10 +71,10 @@ def sideslips(along: Array, first: float, acting: Array, h: float) -> Array:
         h: time [s] from one sample to the next.
     """
     times = np.concatenate((along[:, :-2:2], along[:, 1::2], along[:, 2::2])).T
-    found = _step(len(acting))(
+    results = _step(len(acting))(
         len(times), w=np.array([[first]]), times=times[:, :, None], vehicle=acting, step=np.array([2 * h])
     )
-    return np.concatenate(([first], found["after"].ravel()))
+    return np.concatenate(([first], results["after"].ravel()))
 
 
 def motion(along: Array, w: Array, acting: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -82,8 +82,8 @@ def motion(along: Array, w: Array, acting: Array) -> tuple[Array, NDArray[np.boo
 
     And whether there is a yaw rate at which the sway forces balance, shape (n,).
     """
-    found = _motion(len(acting))(along=along, w=w[None], vehicle=acting)
-    return found["motion"], found["there"][0] > 0
+    results = _motion(len(acting))(along=along, w=w[None], vehicle=acting)
+    return results["motion"], results["there"][0] > 0
 
 
 @cache

@@ -103,3 +103,11 @@ def check_forces(F_u: Array, F_r: Array, u: Array, limits: Sequence[float], time
             return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
 
         check_feasible(np.abs(force) <= most, condition, times, positions)
+
+
+def check_bounds(table: Array, most: Sequence[float]) -> None:
+    """Raise ValueError if |u|, |v|, |r|, |F_u| or |F_r| of a reference table, shape (T, 8), exceed their bounds."""
+    terms = ("u_R", "m/s"), ("v_R", "m/s"), ("r_R", "rad/s"), ("F_uR", "N"), ("F_rR", "N m")
+    for (name, unit), value, bound in zip(terms, np.abs(table[:, 3:]).max(axis=0).tolist(), most, strict=True):
+        if not value <= bound:
+            raise ValueError(f"reference {name} reaches {value:.4g} {unit}; it must be at most {bound:g} {unit}")

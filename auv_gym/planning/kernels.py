@@ -11,7 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from auv_gym.codegen.graph import SYMBOLS
-from auv_gym.codegen.kernel import Kernel, together
+from auv_gym.codegen.kernel import Kernel, library_digest, together
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.planning.feasibility import braking, gradual, moving, sideslip_allowed, torque_limit
 from auv_gym.planning.paths import PATHS
@@ -20,7 +20,7 @@ from auv_gym.planning.paths.turning import RandomSmooth, displacement, with_sine
 from auv_gym.planning.sideslip import (
     ORDER,
     RATES,
-    TERMS,
+    SIDESLIP_TERMS,
     PathRates,
     in_sideslip,
     path_rates,
@@ -34,12 +34,12 @@ from auv_gym.planning.sideslip import (
 FAMILIES: list[type] = [f for f in PATHS.values() if issubclass(f, Family) and f is not RandomSmooth]
 """Families whose position has a formula, in the order of the driver's table; `RandomSmooth` follows them."""
 FIXED_POINT = 12  # fixed-point iterations for the first samples; fewer are enough to converge
-VEHICLE = len(Coefficients._fields)  # number of coefficients of a vehicle
-LIMITS = 8  # number of limits: F_u_max, F_r_max, fin, largest |u|, |v|, |r|, |F_u|, |F_r| of a plan
+VEHICLE_ROWS = len(Coefficients._fields)  # number of coefficients of a vehicle
+LIMIT_ROWS = 8  # number of limits: F_u_max, F_r_max, fin, largest |u|, |v|, |r|, |F_u|, |F_r| of a plan
 
 
 @cache
-def kernels() -> Mapping[str, Kernel]:
+def planning_kernels() -> Mapping[str, Kernel]:
     """Return the kernels by the names of their functions in the driver."""
     return {
         **{family.__name__: _curve(family) for family in FAMILIES},
@@ -62,18 +62,25 @@ def driver(many: bool = True) -> Callable[..., int] | None:
 
     With `many` it takes half the time, and its compilation twice the time.
     """
-    names = ", ".join(family.__name__ for family in FAMILIES)
-    sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE, "LIMITS": LIMITS}
-    constants = {"FAMILIES": names, **sizes}
-    head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    library = together(
-        kernels(), head + FilePath(__file__).with_name("driver.c").read_text(encoding="utf-8"), many=many
-    )
+    library = together(planning_kernels(), _code(), many=many)
     if library is None:
         return None
     function: Callable[..., int] = library.plan
     library.plan.argtypes = [ctypes.c_int] + [ctypes.c_void_p] * 5
     return function
+
+
+def _code() -> str:
+    """Return the C code of the driver."""
+    names = ", ".join(family.__name__ for family in FAMILIES)
+    sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE_ROWS, "LIMITS": LIMIT_ROWS}
+    head = "".join(f"#define {name} {value}\n" for name, value in {"FAMILIES": names, **sizes}.items())
+    return head + FilePath(__file__).with_name("driver.c").read_text(encoding="utf-8")
+
+
+def planning_digest() -> str:
+    """Return the hash of the C source of all plans."""
+    return library_digest(planning_kernels(), _code())
 
 
 def _of(family: type, numbers: Mapping[str, Any]) -> Any:
@@ -140,7 +147,7 @@ def _along_path() -> Kernel:
             "refused": [~(moving(along.v_p) & (rate < limit))],
         }
 
-    rows = {"derivatives": 8, "pose": 3, "scale": 1, "coefficients": VEHICLE}
+    rows = {"derivatives": 8, "pose": 3, "scale": 1, "coefficients": VEHICLE_ROWS}
     return Kernel.traced(equation, rows, shared=["pose", "scale", "coefficients"])
 
 
@@ -160,7 +167,7 @@ def _steady() -> Kernel:
     def equation(along: Any, coefficients: Any) -> dict[str, Any]:
         return {"w": [steady_sideslip(PathRates(*along), Coefficients(*coefficients), SYMBOLS)]}
 
-    return Kernel.traced(equation, {"along": len(RATES), "coefficients": VEHICLE}, shared=["coefficients"])
+    return Kernel.traced(equation, {"along": len(RATES), "coefficients": VEHICLE_ROWS}, shared=["coefficients"])
 
 
 def _first_samples() -> Kernel:
@@ -170,13 +177,13 @@ def _first_samples() -> Kernel:
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
+        terms = (inputs[j : j + SIDESLIP_TERMS] for j in range(0, SIDESLIP_TERMS * ORDER, SIDESLIP_TERMS))
         F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
         after = [weighted_sum(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
 
-    return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+    return Kernel.traced(equation, {"u": ORDER, "inputs": SIDESLIP_TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
 
 
 def _recursion() -> Kernel:
@@ -192,7 +199,7 @@ def _recursion() -> Kernel:
         u = weighted_sum(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}
 
-    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": SIDESLIP_TERMS}, ["inputs", "u"])
 
 
 def _check_sideslip() -> Kernel:
@@ -201,7 +208,7 @@ def _check_sideslip() -> Kernel:
 
 
 def _motion() -> Kernel:
-    """Return the kernel of `in_sideslip`, and a check of the `LIMITS`."""
+    """Return the kernel of `in_sideslip`, and a check of the limits."""
 
     def equation(along: Any, w: Any, coefficients: Any, limits: Any) -> dict[str, Any]:
         *motion, F_u, F_r, gamma = in_sideslip(
@@ -212,7 +219,7 @@ def _motion() -> Kernel:
             valid = valid & (abs(number) <= most)
         return {"motion": (*motion, F_u, F_r), "gamma": [gamma], "refused": [~valid]}
 
-    rows = {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "limits": LIMITS}
+    rows = {"along": len(RATES), "w": 1, "coefficients": VEHICLE_ROWS, "limits": LIMIT_ROWS}
     return Kernel.traced(equation, rows, shared=["coefficients", "limits"])
 
 

@@ -10,20 +10,19 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from auv_gym.codegen.graph import SYMBOLS
-from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.kernel import address
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.crossed import motion, sideslips, steady_sideslips
-from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates, check_sideslip
-from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
+from auv_gym.planning.feasibility import check_bounds, check_feasible, check_forces, check_rates, check_sideslip
+from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMIT_ROWS, VEHICLE_ROWS, driver, planning_kernels
 from auv_gym.planning.paths import Path, RandomSmooth, unstack
-from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, in_sideslip
+from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights
 
 RUN_IN = 12.0  # time constants Dm/d22 integrated before the first sample; the initial error decays by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in time constants Dm/d22
@@ -36,8 +35,8 @@ MAX_REFINEMENT = 128  # largest refinement of the step for `MAX_RESPONSE`
 MAX_SAMPLES = 2**21  # largest number of samples of a path, which bounds time and memory
 _CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
 """The codes of the families in the driver."""
-_GIVEN = -1  # the code of a path whose derivatives are given
-_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 8 + LIMITS  # indices in the settings of the driver
+_BY_DERIVATIVES = -1  # the code of a path whose derivatives are computed in Python
+_SCALE, _WEIGHTS = VEHICLE_ROWS + 7, VEHICLE_ROWS + 8 + LIMIT_ROWS  # indices in the settings of the driver
 BETA = RATES.index("beta")  # index of the direction among the rates of a path
 
 
@@ -101,7 +100,6 @@ class Planner:
         force_limits: see `plan`.
         fin: see `plan`.
         most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] of a `table`.
-        many: see `kernels.driver`.
     """
 
     def __init__(
@@ -111,10 +109,8 @@ class Planner:
         force_limits: tuple[float, float] | None = None,
         fin: float = 0.0,
         most: Sequence[float] = (math.inf,) * 5,
-        *,
-        many: bool = True,
     ) -> None:
-        self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
+        self.vehicle, self.times, self.most = vehicle, times, most
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
         self._crossed = vehicle.has_cross_terms
@@ -138,55 +134,68 @@ class Planner:
             table, rest = self._in_python(path)
         return Reference(self.times, *table.T, *rest)
 
-    def table(self, path: Path) -> Array | None:
-        """Return the `Reference.table` of a path; None if `plan` raises an error or `most` is exceeded."""
-        table = self._compiled(path)
-        if self._crossed or driver(self.many) is None:
-            with suppress(ValueError):
-                table, _ = self._in_python(path)
-                if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
-                    return None
+    def table(self, path: Path, *, many: bool = True) -> Array:
+        """Return the `Reference.table` of a path, shape (T, 8).
+
+        Args:
+            path: see `plan`.
+            many: see `kernels.driver`.
+
+        Raises:
+            ValueError: see `plan`, or the reference exceeds `most`.
+            InfeasibleReferenceError: see `plan`.
+        """
+        if (table := self._compiled(path, many=many)) is None:
+            table, _ = self._in_python(path)
+            check_bounds(table, self.most)
         return table
 
     def tables(self, paths: Any, n: int) -> list[Array | None]:
-        """Return the `table` of each of n paths of one family, combined by `stack`."""
-        function, code = driver(self.many), _CODES.get(type(paths), _GIVEN)
-        if function is None or self._crossed or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
-            return [self.table(path) for path in unstack(paths, n)]
-        numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
-        given = np.empty((n, len(numbers)))
-        for column, number in zip(given.T, numbers, strict=True):
+        """Return the `table` of each of n paths of one family, combined by `stack`; None if it raises an error."""
+        function, code = driver(), self._code(paths)
+        if function is None or self._crossed:
+            return [self._table_or_none(path) for path in unstack(paths, n)]
+        if code == _BY_DERIVATIVES or self.vehicle.Y_uv:
+            return [self._compiled(path) for path in unstack(paths, n)]
+        columns = _numbers(paths)
+        rows, grid = np.empty((n, len(columns))), self._grid(paths)
+        for column, number in zip(rows.T, columns, strict=True):
             column[:] = number
-        grid = self._grid(paths)
         if grid.samples > MAX_SAMPLES:
             return [None] * n
-        found: list[Array | None] = []
-        first, settings = (array.__array_interface__["data"][0] for array in (given, grid.settings))
+        tables: list[Array | None] = []
+        first, settings = address(rows), address(grid.settings)
         for j in range(n):
             table = np.empty((len(self.times), 8))
-            address = table.__array_interface__["data"][0]
-            result = function(code, first + j * given.strides[0], None, settings, address, None)
-            found.append(table if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
-        return found
+            result = function(code, first + j * rows.strides[0], None, settings, address(table), None)
+            tables.append(table if result == 0 else self._compiled(unstack(paths, n)[j]) if result > 0 else None)
+        return tables
 
-    def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
+    def _table_or_none(self, path: Path) -> Array | None:
+        with suppress(ValueError):
+            return self.table(path)
+        return None
+
+    def _code(self, path: Path) -> int:
+        """Return the code of the family in the driver, which integrates a `RandomSmooth` from t = 0 on."""
+        code = _CODES.get(type(path), _BY_DERIVATIVES)
+        return _BY_DERIVATIVES if code == len(FAMILIES) and self.times[0] != 0 else code
+
+    def _compiled(self, path: Path, rest: Array | None = None, *, many: bool = True) -> Array | None:
         """Return a `Reference.table`, and write gamma, v_p, omega to `rest`.
 
         Return None without a compiler, for a vehicle with cross-flow, and for a path that cannot be followed;
         `_in_python` then raises the error.
         """
-        if self._crossed or (function := driver(self.many)) is None:
+        if self._crossed or (function := driver(many)) is None:
             return None
-        code, given = _CODES.get(type(path), _GIVEN), None
-        if code == len(FAMILIES) and self.times[0] != 0:  # the driver integrates from the first time on
-            code = _GIVEN
-        numbers = np.array([path.x0, path.y0, path.heading, *path.numbers] if code != _GIVEN else [0.0, 0.0, 0.0])  # type: ignore[attr-defined]
+        code, derivatives = self._code(path), None
+        numbers = np.array([0.0, 0.0, 0.0] if code == _BY_DERIVATIVES else _numbers(path))
         table, grid = np.empty((len(self.times), 8)), self._grid(path)
         while grid.samples <= MAX_SAMPLES:
-            if code == _GIVEN:
-                given = _derivatives(path, grid.times(self.times))
-            arrays = numbers, given, grid.settings, table, rest
-            result = function(code, *(None if a is None else a.__array_interface__["data"][0] for a in arrays))
+            if code == _BY_DERIVATIVES:
+                derivatives = _derivatives(path, grid.times(self.times))
+            result = function(code, *map(address, (numbers, derivatives, grid.settings, table, rest)))
             if result <= 0:
                 return None if result else table
             grid = self._grid(path, min(result, MAX_REFINEMENT))
@@ -198,7 +207,8 @@ class Planner:
         if lift := self.vehicle.Y_uv:  # it reduces the time constant of the sideslip
             damping += lift * float(np.hypot(*path.derivatives(self.times[:1])[1, :, 0]))
         run_in = RUN_IN * min(self._slip_mass / damping, _SLOWEST * self.vehicle.time if self._crossed else math.inf)
-        lead = _even(min(run_in, float(self.times[0] - path.start)) / h, self._crossed)
+        even = 2 if self._crossed else 1  # a vehicle with cross terms needs an even number of samples
+        lead = even * int(min(run_in, float(self.times[0] - path.start)) / h / even)
         if (grid := self._grids.get((lead, refinement))) is None:
             substeps, scale = self._substeps * refinement, h / self._slip_mass
             numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
@@ -214,7 +224,7 @@ class Planner:
             ValueError: see `plan`.
             InfeasibleReferenceError: see `plan`.
         """
-        k, grid = kernels(), self._grid(path)
+        k, grid = planning_kernels(), self._grid(path)
         position, along, terms, response = self._along_path(path, grid)
         acting, limit = np.array(self.vehicle.acting), MAX_RESPONSE
         if self._crossed:
@@ -240,8 +250,8 @@ class Planner:
             check_feasible(there, lambda _: _NO_BALANCE, self.times, position[instants])
         else:
             limits = np.array([*self._limits, *self.most])
-            found = k["motion"](along=along[instants], w=w[None], coefficients=self._coefficients, limits=limits)
-            planned, gamma = [*found["motion"]], found["gamma"][0]
+            results = k["motion"](along=along[instants], w=w[None], coefficients=self._coefficients, limits=limits)
+            planned, gamma = [*results["motion"]], results["gamma"][0]
         _, u, _, _, F_u, F_r = planned
         check_forces(F_u, F_r, u, self._limits, self.times, position[instants])
         rates = PathRates(*along[instants])
@@ -257,19 +267,19 @@ class Planner:
             )
         times = grid.times(self.times)
         derivatives, scale = _derivatives(path, times), grid.settings[_SCALE : _SCALE + 1]
-        found = kernels()["along_path"](
+        results = planning_kernels()["along_path"](
             derivatives=derivatives, pose=np.zeros(3), scale=scale, coefficients=self._coefficients
         )
-        along = PathRates(*found["along"])
-        check_rates(along.v_p, along.beta, along.v_p_dot, self.vehicle, times, found["position"])
-        return found["position"], found["along"], found["terms"], found["response"]
+        along = PathRates(*results["along"])
+        check_rates(along.v_p, along.beta, along.v_p_dot, self.vehicle, times, results["position"])
+        return results["position"], results["along"], results["terms"], results["response"]
 
     def _sideslip(self, along: Array, terms: Array, weights: Array) -> Array:
         """Return w at the samples, by integrating the equation of `sideslip`.
 
         Beyond 90 degrees it may be nan, which `check_sideslip` refuses.
         """
-        k, split = kernels(), (ORDER - 1) * (ORDER + 1)
+        k, split = planning_kernels(), (ORDER - 1) * (ORDER + 1)
         start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
         first = k["first_samples"](
             FIXED_POINT,
@@ -286,9 +296,9 @@ class Planner:
         return u.ravel()
 
 
-def _even(samples: float, wanted: bool) -> int:
-    """Return a number of samples as an integer, an even one if that is wanted."""
-    return 2 * int(samples / 2) if wanted else int(samples)
+def _numbers(path: Any) -> list[Any]:
+    """Return the arguments of the compiled formulas of a path, or of several that are stacked: the pose comes first."""
+    return [path.x0, path.y0, path.heading, *path.numbers]
 
 
 class _Grid(NamedTuple):
@@ -314,13 +324,13 @@ class _Grid(NamedTuple):
 
 def _derivatives(path: Path, times: Array) -> Array:
     """Return the `Path.derivatives` at T times as an array of shape (8, T)."""
-    given = np.asarray(path.derivatives(times), dtype=np.float64)
-    if given.shape != (4, 2, len(times)):
+    derivatives = np.asarray(path.derivatives(times), dtype=np.float64)
+    if derivatives.shape != (4, 2, len(times)):
         raise ValueError(
-            f"{type(path).__name__}.derivatives returns an array of shape {given.shape} for {len(times)} times; "
+            f"{type(path).__name__}.derivatives returns an array of shape {derivatives.shape} for {len(times)} times; "
             f"it must be (4, 2, {len(times)})"
         )
-    return np.ascontiguousarray(given.reshape(8, -1))
+    return np.ascontiguousarray(derivatives.reshape(8, -1))
 
 
 def _checked_times(times: Array, path: Path) -> Array:
@@ -335,47 +345,3 @@ def _checked_times(times: Array, path: Path) -> Array:
             f"times {times[0]:.6g} ... {times[-1]:.6g} s leave the path's domain, {path.start:.6g} ... {path.end:.6g} s"
         )
     return times
-
-
-def assemble(
-    times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle, sway_load: tuple[Array, Array]
-) -> Reference:
-    """Return the states and forces (16) of N vehicles on their paths, for the sines of their sideslips.
-
-    Args:
-        times: T times [s].
-        position: x, y of the paths at these times [m], shape (2, T, N).
-        along: rates of the paths, of shape (T, N).
-        w: sine of the sideslip, shape (T, N).
-        vehicle: N vehicles as one, whose coefficients are rows of shape (N,).
-        sway_load: external force Y along the sway axis [N] in (2b), and its time derivative [N/s], of shape (T, N).
-    """
-    rows = np.array([getattr(along, name) for name in RATES])
-    turns = np.round(np.diff(rows[BETA], axis=0) / (2 * math.pi))
-    rows[BETA, 1:] -= 2 * math.pi * np.cumsum(turns, axis=0)  # make the direction continuous
-    spread = [np.broadcast_to(number, w.shape) for number in (*vehicle.coefficients, *sway_load)]
-    arrays = (np.reshape(part, (len(part), -1)) for part in (rows, w[None], spread[:-2], spread[-2:]))
-    motion = _motion_kernel()(**dict(zip(("along", "w", "coefficients", "load"), arrays, strict=True)))["motion"]
-    psi, u, v, r, F_u, F_r, gamma = motion.reshape(-1, *w.shape)
-    return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, along.v_p, along.omega)
-
-
-@cache
-def _motion_kernel() -> Kernel:
-    """Return the kernel of `in_sideslip` for several vehicles."""
-
-    def equation(along: Any, w: Any, coefficients: Any, load: Any) -> dict[str, Any]:
-        return {"motion": in_sideslip(PathRates(*along), w[0], Coefficients(*coefficients), tuple(load), SYMBOLS)}
-
-    return Kernel.traced(equation, {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "load": 2})
-
-
-def printed_surge_rate(u_R: float, v_p: float, v_p_dot: float, omega: float, vehicle: Vehicle) -> float:
-    """Return u_R' [m/s^2] by (15) as printed, with the norm v_p^3 in place of its v_R^3, as (15') confirms.
-
-    It is for comparison only: it holds for clockwise curves (omega < 0) and is singular at u_R = v_p.
-    """
-    m11, m22, d22 = vehicle.m11, vehicle.m22, vehicle.d22
-    root = math.sqrt(max(v_p * v_p - u_R * u_R, 0.0))
-    bracket = d22 * u_R**2 * v_p - d22 * v_p**3 - m11 * omega * u_R * v_p * root
-    return (bracket + m11 * u_R**2 * v_p_dot - m22 * v_p_dot * v_p**2) / (u_R * v_p * (m11 - m22))

@@ -27,7 +27,7 @@ from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 
 ORDER = 4  # number of samples in each integration formula
-TERMS = 4  # number of terms of the equation, see `sideslip_terms`
+SIDESLIP_TERMS = 4  # number of terms of the equation, see `sideslip_terms`
 MAX_SIDESLIP = math.radians(80.0)  # largest sideslip of a reference
 _POINTS, _GAUSS = leggauss(24)  # points and weights of an integral over [-1, 1]
 
@@ -99,12 +99,6 @@ def response(along: PathRates, c: Vehicle | Coefficients, ns: Namespace) -> Numb
     return (c.m22 * abs(a) + turn * tan + drag + lift) / (c.m22 - (c.m11 - c.Y_ur))
 
 
-def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
-    """Return the `steady_sideslip` of the first sample."""
-    first = PathRates(*(getattr(along, name)[0] for name in RATES))
-    return np.asarray(steady_sideslip(first, vehicle, ARRAYS))
-
-
 def steady_sideslip(along: PathRates, vehicle: Vehicle | Coefficients, ns: Namespace) -> Number:
     """Return w without the fast transient, by two iterations of m omega + D tan(gamma) = -Dm gamma'."""
     a, m = along.v_p_dot / along.v_p, vehicle.m11 - vehicle.Y_ur
@@ -152,7 +146,7 @@ def _weights(z: float, first: int, end: int) -> tuple[float, ...]:
 def in_sideslip(
     along: PathRates, w: Number, coefficients: Coefficients, sway_load: tuple[Number, Number], ns: Namespace
 ) -> tuple[Number, ...]:
-    """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m], gamma [rad] on a path; see `planner.assemble`."""
+    """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m], gamma [rad] on a path; see `planner.Reference`."""
     m11, m22, m33, _, d22, _, _, Y_vv, _, Y_uv, *_ = coefficients
     m, Dm = m11 - coefficients.Y_ur, coefficients.slip_mass
     v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, name) for name in RATES)

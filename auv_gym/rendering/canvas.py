@@ -218,20 +218,11 @@ class Canvas:
         x, y, width, height = box
         if (width, height, key) not in self._cards:
             self._cards[width, height, key] = self._drawn_card(width, height, content)
-        interior, whole, rim = self._cards[width, height, key]
-        left, top = round((x - 1.0) * self.unit), round((y - 1.0) * self.unit)
-        self._surface.blit(interior, (left + rim, top + rim))
-        w, h = whole.get_size()
-        for part in (
-            (0, 0, w, rim),
-            (0, h - rim, w, rim),
-            (0, rim, rim, h - 2 * rim),
-            (w - rim, rim, rim, h - 2 * rim),
-        ):
-            self._surface.blit(whole, (left + part[0], top + part[1]), part)
+        corner = round((x - 1.0) * self.unit), round((y - 1.0) * self.unit)
+        self._surface.blit(self._cards[width, height, key], corner)
 
-    def _drawn_card(self, width: float, height: float, content: Callable[[Canvas], None]) -> tuple[Any, Any, int]:
-        """Return the interior of a card, the whole card with translucent corners, and the width of its rim [px]."""
+    def _drawn_card(self, width: float, height: float, content: Callable[[Canvas], None]) -> Any:
+        """Return the image of a card, with translucent corners."""
         size = math.ceil((width + 2.0) * self.unit), math.ceil((height + 2.0) * self.unit)
         draw, large = self._pygame.draw, (4 * size[0], 4 * size[1])
         shape = self._pygame.Surface(large, self._pygame.SRCALPHA, 32)
@@ -240,13 +231,9 @@ class Canvas:
         draw.rect(shape, GRID, (0, 0, *large), border_radius=radius)
         inner = (border, border, large[0] - 2 * border, large[1] - 2 * border)
         draw.rect(shape, WHITE, inner, border_radius=max(0, radius - border))
-        whole = self._pygame.transform.smoothscale(shape, size)
-        own = Canvas(self._pygame, size, self.unit)
-        own.fill(WHITE)
-        content(own)
-        rim = min(math.ceil(9.0 * self.unit), min(size) // 2)
-        interior = own.surface.subsurface((rim, rim, size[0] - 2 * rim, size[1] - 2 * rim))
-        return interior, whole, rim
+        card = self._pygame.transform.smoothscale(shape, size)
+        content(Canvas(self._pygame, size, self.unit, card))
+        return card
 
     def text(self, text: str, x: float, y: float, size: float = 17.0, color: Color = INK, align: float = 0.0) -> float:
         """Draw a line of text and return its width [units].

@@ -21,7 +21,7 @@ from auv_gym.rendering.scene import draw_world
 RenderMode = Literal["human", "rgb_array"]
 READABLE = (320, 240)
 """Width and height [px] of the smallest picture with text."""
-SIZES = (16, 4096)
+FRAME_SIZES = (16, 4096)
 """Least and largest width or height [px] of a picture."""
 
 
@@ -44,7 +44,7 @@ class Renderer:
         if render_mode not in get_args(RenderMode):
             raise ValueError(f"render_mode is {render_mode!r}; allowed: {', '.join(get_args(RenderMode))}")
         if not fps > 0.0:
-            raise ValueError(f"fps must be positive; given: {fps}")
+            raise ValueError(f"fps is {fps}; it must be positive")
         self._pygame = import_pygame()
         self._size = checked_size(size)
         self._canvas = Canvas(self._pygame, self._size)
@@ -117,13 +117,13 @@ def checked_size(size: Sequence[int]) -> tuple[int, int]:
     """Return the width and height of pictures [px].
 
     Raises:
-        ValueError: they are not two integers within `SIZES`.
+        ValueError: they are not two integers within `FRAME_SIZES`.
     """
     try:
         width, height = (operator.index(n) for n in size)
     except (TypeError, ValueError):
         width = height = 0
-    if not all(SIZES[0] <= n <= SIZES[1] for n in (width, height)):
-        low, high = SIZES
+    if not all(FRAME_SIZES[0] <= n <= FRAME_SIZES[1] for n in (width, height)):
+        low, high = FRAME_SIZES
         raise ValueError(f"render_size is {size!r}; it must be (width, height), two integers from {low} to {high} [px]")
     return width, height

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from operator import length_hint
+from typing import NamedTuple
 
 import numpy as np
 
-from auv_gym.physics.namespaces import Array, Indices
-from auv_gym.planning.paths import PATHS, Family, Path, unstack
+from auv_gym.physics.namespaces import Indices
+from auv_gym.planning.paths import PATHS, Family, Line, Path, unstack
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import DRAWS, RandomPath, Scenario
 
@@ -44,54 +45,35 @@ class Drawing:
         families = (self._numbers[:, 0] * len(path.families)).astype(np.int64)
         for family in set(families.tolist()):
             members = (families == family).nonzero()[0]
-            stream = _Stream(self._numbers[members, 1:].T)
-            paths = path.member(family, stream)
+            numbers = iter(self._numbers[members, 1:].T)
+            paths = path.member(family, numbers.__next__)
             self.paths.append(DrawnPaths(members, paths))
-            self._used[members], self._speed[members] = 1 + stream.used, paths.speed
+            self._used[members], self._speed[members] = DRAWS - length_hint(numbers), paths.speed
 
     def episodes(self, members: Indices) -> Episode:
-        """Return n of the episodes as one with rows (n,) as numbers, noise seed 0 and a path with a speed only."""
+        """Return n of the episodes as one with rows (n,) as numbers, noise seed 0 and straight lines as paths."""
         first = self._used[members]
         most = DRAWS - int(first.max())
         rows = self._numbers[members[:, None], first[:, None] + np.arange(most)]
-        path = cast(Path, _Speed(self._speed[members]))
-        return self._scenario.episode(path, _Stream(rows.T.copy()), 0)
+        return self._scenario.episode(Line.member(self._speed[members]), iter(rows.T.copy()).__next__, 0)
 
     def single(self, members: Indices) -> list[Path]:
         """Return the path of each of these episodes."""
         path = self._scenario.path
         if not isinstance(path, RandomPath):
             return [path] * len(members)
-        found: dict[int, Path] = {}
-        for own, paths in self.paths:
-            found.update(zip(own.tolist(), unstack(paths, len(own)), strict=True))
-        return [found[j] for j in members.tolist()]
-
-
-class _Stream:
-    """A source of uniform numbers; each call returns the next row."""
-
-    def __init__(self, rows: Array) -> None:
-        self._rows, self.used = rows, 0
-
-    def __call__(self) -> Array:
-        self.used += 1
-        row: Array = self._rows[self.used - 1]
-        return row
-
-
-class _Speed(NamedTuple):
-    """The part of a path that the disturbances depend on."""
-
-    speed: Array
+        by_episode: dict[int, Path] = {}
+        for indices, paths in self.paths:
+            by_episode.update(zip(indices.tolist(), unstack(paths, len(indices)), strict=True))
+        return [by_episode[j] for j in members.tolist()]
 
 
 def drawn_as_rows(scenario: Scenario) -> bool:
     """Return whether the episodes of a scenario can be drawn as rows.
 
-    That requires paths that can be stacked, and no outages, dead reckoning, faults or governor.
+    That requires paths that can be stacked, and no outages, dead reckoning or faults.
     """
     names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
     alike = all(issubclass(PATHS[name], Family) for name in names)
     navigation = scenario.sensors.outages or scenario.sensors.reckoning
-    return alike and not navigation and scenario.faults is None and scenario.governor is None
+    return alike and not navigation and scenario.faults is None

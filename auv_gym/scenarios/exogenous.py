@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
-from auv_gym.codegen.kernel import Kernel, together
+from auv_gym.codegen.kernel import Kernel, address, library_digest, together
 from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.faults import fault_rows
-from auv_gym.physics.namespaces import AnyArray, Array, Indices, Namespace, Number
+from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
 from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.physics.rows import flatten, numbered, spread, unflatten
 from auv_gym.scenarios.episode import Episode
@@ -64,10 +64,10 @@ class Gust(NamedTuple):
     """The state of the gusts in units of sigma: floats, or rows of shape (N,)."""
 
     k: Number  # number of control instants so far
-    n_x: Number  # the process
-    n_y: Number
-    s_x: Number  # its filter
-    s_y: Number
+    process_x: Number
+    process_y: Number
+    filtered_x: Number
+    filtered_y: Number
 
 
 WEATHER = numbered(Weather)  # index of each number of a `Weather`
@@ -78,7 +78,7 @@ WAVE_ROWS = 7
 [N], [N], [N m]."""
 
 
-class Entry(NamedTuple):
+class ExogenousProgram(NamedTuple):
     """The integers of a sub-environment for compiled code."""
 
     table: Any  # address of the reference table
@@ -89,7 +89,7 @@ class Entry(NamedTuple):
     waves: Any  # number of wave components
 
 
-_ENTRY = numbered(Entry)  # index of each number of an `Entry`
+_ENTRY = numbered(ExogenousProgram)  # index of each number of an `ExogenousProgram`
 
 
 def next_gust(gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace) -> Gust:
@@ -106,21 +106,21 @@ def next_gust(gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace) 
     """
     k, *last = gust
     first = k < 0.5
-    n_x, n_y = (ns.where(first, new, w.a * n + w.excitation * new) for n, new in zip(last[:2], normals, strict=True))
-    s_x, s_y = (
-        ns.where(first, new, w.b * s + (1.0 - w.b) * n) for s, n, new in zip(last[2:], (n_x, n_y), normals, strict=True)
-    )
-    return Gust(k + 1.0, n_x, n_y, s_x, s_y)
+    process = [ns.where(first, new, w.a * n + w.excitation * new) for n, new in zip(last[:2], normals, strict=True)]
+    filtered = [
+        ns.where(first, new, w.b * s + (1.0 - w.b) * n) for s, n, new in zip(last[2:], process, normals, strict=True)
+    ]
+    return Gust(k + 1.0, *process, *filtered)
 
 
-def gusty_current(k: Number, swing: Sequence[Number], w: Weather, ns: Namespace) -> tuple[Number, Number]:
+def gusty_current(k: Number, filtered: Sequence[Number], w: Weather, ns: Namespace) -> tuple[Number, Number]:
     """Return the current [m/s] at control instant k: mean plus gust, with a speed of at most the cap.
 
-    `swing` is s of both axes, see `next_gust`.
+    `filtered` is s of both axes, see `next_gust`.
     """
     angle = w.turn * k
     V_x, V_y = to_world(w.V_x, w.V_y, ns.cos(angle), ns.sin(angle))
-    V_x, V_y = V_x + w.sigma * swing[0], V_y + w.sigma * swing[1]
+    V_x, V_y = V_x + w.sigma * filtered[0], V_y + w.sigma * filtered[1]
     speed = ns.sqrt(V_x * V_x + V_y * V_y)
     share = ns.where(speed > w.cap, w.cap / speed, 1.0)
     return share * V_x, share * V_y
@@ -160,7 +160,7 @@ def kernels() -> Mapping[str, Kernel]:
 
     def gust_recursion(gust: Any, normals: Any, weather: Any) -> dict[str, Any]:
         after = next_gust(Gust(*gust), normals, unflatten(WEATHER, weather), SYMBOLS)
-        return {"gust": after, "swing": (after.s_x, after.s_y)}
+        return {"gust": after, "swing": (after.filtered_x, after.filtered_y)}
 
     def wave_loads(load: Any, instant: Any, waves: Any) -> dict[str, Any]:
         return {"load": with_wave(load, instant[0], waves, SYMBOLS)}
@@ -201,20 +201,30 @@ def compiled(many: bool = True) -> Compiled | None:
         normal = ctypes.CDLL(np.random._generator.__file__).random_standard_normal
     except (OSError, AttributeError):  # this build of NumPy does not export the function
         return None
-    sizes = {"SAMPLES": SAMPLE_ROWS, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
-    sizes |= {"WEATHER": WEATHER_ROWS, "WAVE": WAVE_ROWS, "ENTRIES": len(_ENTRY)}
-    sizes |= {name.upper(): index for name, index in _ENTRY._asdict().items()}
-    head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    library = together(kernels(), head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8"), many=many)
+    library = together(kernels(), _code(), many=many)
     if library is None:
         return None
     pointer, integer = ctypes.c_void_p, ctypes.c_long
     functions = library.seed_states, library.least_speeds, library.read_samples
     for function, integers, pointers in zip(functions, (1, 1, 5), (2, 3, 10), strict=True):
         function.argtypes, function.restype = [integer] * integers + [pointer] * pointers, None
-    address = ctypes.cast(normal, pointer)
-    library.load_tables(address)
-    return Compiled(*functions, address)
+    normal_address = ctypes.cast(normal, pointer)
+    library.load_tables(normal_address)
+    return Compiled(*functions, normal_address)
+
+
+def _code() -> str:
+    """Return the C code that calls the kernels."""
+    sizes = {"SAMPLES": SAMPLE_ROWS, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
+    sizes |= {"WEATHER": WEATHER_ROWS, "WAVE": WAVE_ROWS, "ENTRIES": len(_ENTRY)}
+    sizes |= {name.upper(): index for name, index in _ENTRY._asdict().items()}
+    head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+    return head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8")
+
+
+def digest() -> str:
+    """Return the hash of the C source of all exogenous inputs."""
+    return library_digest(kernels(), _code())
 
 
 class ExogenousInputs:
@@ -226,10 +236,10 @@ class ExogenousInputs:
         empty: Array = np.zeros((1, REFERENCE.stop))
         self._tables = [empty] * num_envs
         self._states = np.zeros((num_envs, 4), dtype=np.uint64)  # of the generators SFC64
-        self._entries = np.tile(np.array(Entry(_address(empty), 1, 0, 0, 0, 0), dtype=np.int64), (num_envs, 1))
-        self._fixes: dict[int, Array] = {}  # of the sub-environments with outages or dead reckoning
-        self._faults: dict[int, Array] = {}  # of the sub-environments with faults
-        self._headings: dict[int, Array] = {}  # [rad] errors of the sub-environments with a gyro drift
+        self._entries = np.tile(
+            np.array(ExogenousProgram(address(empty), 1, 0, 0, 0, 0), dtype=np.int64), (num_envs, 1)
+        )
+        self._scheduled: dict[int, Array] = {}  # of the sub-environments that have it, see `scheduled`
         self._gust, self._weather = np.zeros((num_envs, GUST_ROWS)), np.zeros((num_envs, WEATHER_ROWS))
         self._waves = np.zeros((num_envs, 0, WAVE_ROWS))
 
@@ -240,23 +250,16 @@ class ExogenousInputs:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Set all attributes; addresses are determined again."""
         self.__dict__.update(state)
-        for index in range(len(self._tables)):
-            self._set_address(index)
+        self._entries[:, _ENTRY.table] = [address(table) for table in self._tables]
 
     @property
     def _code(self) -> Compiled | None:
         return compiled(many=len(self._tables) > 1)
 
-    def _set_address(self, index: int) -> None:
-        """Store the address of the reference table of a sub-environment."""
-        self._entries[index, _ENTRY.table] = _address(self._tables[index])
-
     @cached_property
     def _arrays(self) -> list[int]:
         """Addresses of the arrays for compiled code."""
-        return [
-            _address(a) for a in (self._entries, self._states, self._gust, self._weather, self._waves, self._memory)
-        ]
+        return [address(a) for a in (self._entries, self._states, self._gust, self._weather, self._waves, self._memory)]
 
     def load(self, index: int, scenario: Scenario, episode: Episode, table: Array) -> None:
         """Load an episode into a sub-environment; `table` is its `Reference.table`, one row per control instant."""
@@ -286,11 +289,9 @@ class ExogenousInputs:
         if first < end:
             self._states[indices] = _states_of(noise_seeds, self._code)
         for index, table in zip(indices.tolist(), tables, strict=True):
-            self._tables[index] = np.ascontiguousarray(table, dtype=np.float64)
-            self._set_address(index)
-            self._fixes.pop(index, None)
-            self._faults.pop(index, None)
-            self._headings.pop(index, None)
+            self._tables[index] = rows = np.ascontiguousarray(table, dtype=np.float64)
+            self._entries[index, _ENTRY.table] = address(rows)
+            self._scheduled.pop(index, None)
         waves = wave_components(episodes.waves, dt)
         self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
         slowest = self._least_speed(indices) if math.isfinite(current.cap) else 0.0
@@ -301,29 +302,16 @@ class ExogenousInputs:
             self.__dict__.pop("_arrays", None)
         self._waves[indices, : len(waves)] = waves if waves.ndim == 2 else waves.transpose(2, 0, 1)
         self._gust[indices] = 0.0
-        if episodes.outages or episodes.reckoning:
-            self._load_navigation(int(indices[0]), scenario, episodes, tables[0])
-        if episodes.faults:
-            self._faults[int(indices[0])] = fault_rows(episodes.faults, dt, len(tables[0]))
+        if episodes.outages or episodes.reckoning or episodes.faults:
+            self._scheduled[int(indices[0])] = scheduled(scenario, episodes, tables[0])
 
     def _least_speed(self, indices: Indices) -> Any:
         """Return the `least_speed` of the references of sub-environments."""
         if (code := self._code) is None:
             return least_speed([self._tables[index] for index in indices.tolist()])
-        own, speeds = np.ascontiguousarray(indices, dtype=np.int64), np.empty(len(indices))
-        code.least_speeds(len(own), _address(own), self._arrays[0], _address(speeds))
+        indices, speeds = np.ascontiguousarray(indices, dtype=np.int64), np.empty(len(indices))
+        code.least_speeds(len(indices), address(indices), self._arrays[0], address(speeds))
         return speeds if len(indices) > 1 else float(speeds[0])
-
-    def _load_navigation(self, index: int, scenario: Scenario, episode: Episode, table: Array) -> None:
-        """Load the position fixes of an episode and the heading errors of its gyro."""
-        sensors, reckoning, dt = scenario.sensors, episode.reckoning, scenario.control_dt
-        if episode.outages or reckoning:
-            self._fixes[index] = _fixes(episode.outages, dt, len(table))
-        if reckoning and sensors.reckoning:
-            fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
-            self._fixes[index] = _fix_gains(self._fixes[index], reckoning, fix_filter, dt, table)
-            walk = sensors.reckoning.walk
-            self._headings[index] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
 
     def read(self, indices: Sequence[int] | Indices, n: int) -> Array:
         """Return the next n samples of sub-environments, shape (n, SAMPLE_ROWS, len(indices)).
@@ -348,27 +336,20 @@ class ExogenousInputs:
         else:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
             sizes = len(indices), n, self._waves.shape[1], time, row
-            code.read_samples(*sizes, _address(indices), _address(columns), *self._arrays, _address(out), code.normal)
-        if self._fixes or self._faults:
+            code.read_samples(*sizes, address(indices), address(columns), *self._arrays, address(out), code.normal)
+        if self._scheduled:
             ends = self._entries[indices, _ENTRY.next].tolist()
             for end, index, column in zip(ends, indices.tolist(), columns.tolist(), strict=True):
-                now = slice(end - n, end)
-                if index in self._fixes:
-                    part = self._fixes[index][now]
-                    out[: len(part), SAMPLE.fix, column] = part
-                if index in self._faults:
-                    part = self._faults[index][:, now]
-                    out[: part.shape[1], SAMPLE.fault, column] = part[0]
-                    out[: part.shape[1], SAMPLE.n_x : SAMPLE.n_y + 1, column] += part[1:].T
-                if index in self._headings:
-                    part = self._headings[index][now]
-                    out[: len(part), SAMPLE.n_psi, column] += part
+                if index in self._scheduled:
+                    rows = self._scheduled[index][end - n : end]
+                    out[: len(rows), SAMPLE.fix : SAMPLE.fault + 1, column] = rows[:, :2]
+                    out[: len(rows), SAMPLE.n_x : SAMPLE.n_psi + 1, column] += rows[:, 2:]
 
     def _in_python(self, out: Array, indices: Indices, columns: Indices) -> None:
         """Write the samples of `read_into` by the same kernels as `read_samples` of exogenous.c."""
         run, n = kernels(), len(out)
         for index, column in zip(indices.tolist(), columns.tolist(), strict=True):
-            entry, weather = Entry(*self._entries[index].tolist()), self._weather[index]
+            entry, weather = ExogenousProgram(*self._entries[index].tolist()), self._weather[index]
             time, waves = np.arange(entry.next, entry.next + n), self._waves[index, : entry.waves]
             normals = np.zeros((n, NORMALS))
             if entry.first < entry.end:
@@ -385,17 +366,12 @@ class ExogenousInputs:
         self._entries[indices, _ENTRY.next] += n
 
 
-def _address(array: AnyArray) -> int:
-    address: int = array.__array_interface__["data"][0]  # takes half the time of `array.ctypes`
-    return address
-
-
 def _states_of(seeds: Sequence[int], code: Compiled | None) -> NDArray[np.uint64]:
     """Return the states of the generators SFC64 for n seeds, shape (n, 4)."""
     if code is None or max(seeds) >= 2**64:
         return np.array([np.random.SFC64(seed).state["state"]["state"] for seed in seeds])
-    given, states = np.array(seeds, dtype=np.uint64), np.empty((len(seeds), 4), dtype=np.uint64)
-    code.seed_states(len(seeds), _address(given), _address(states))
+    numbers, states = np.array(seeds, dtype=np.uint64), np.empty((len(seeds), 4), dtype=np.uint64)
+    code.seed_states(len(seeds), address(numbers), address(states))
     return states
 
 
@@ -414,25 +390,32 @@ def least_speed(tables: Sequence[Array]) -> Any:
     return np.array(speeds) if len(speeds) > 1 else speeds[0]
 
 
-def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> Array:
-    """Return 1 for each control instant with a position fix, else 0; the first one always has it."""
-    times = dt * np.arange(instants, dtype=np.float64)
-    fixes = np.ones(instants)
-    for begin, end in outages:
-        fixes[(times >= begin) & (times < end)] = 0.0
-    fixes[0] = 1.0
-    return fixes
+def scheduled(scenario: Scenario, episode: Episode, table: Array) -> Array:
+    """Return what outages, dead reckoning and faults change in the samples of an episode, shape (T, 5).
+
+    The columns are the gain of the position fix and the code of the fault, then what is added to the measurement errors
+    of x, y [m] and psi [rad]. `table` is the reference table of the episode, shape (T, 8).
+    """
+    sensors, reckoning, dt = scenario.sensors, episode.reckoning, scenario.control_dt
+    rows, times = np.zeros((len(table), 5)), dt * np.arange(len(table), dtype=np.float64)
+    rows[:, 0] = 1.0
+    for begin, end in episode.outages:
+        rows[(times >= begin) & (times < end), 0] = 0.0
+    rows[0, 0] = 1.0  # the first position is known
+    if reckoning and sensors.reckoning:
+        fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
+        rows[:, 0] = _fix_gains(rows[:, 0], reckoning, fix_filter, dt, table)
+        rows[:, 4] = heading_errors(reckoning.drift, sensors.reckoning.walk, dt, len(table), rng)
+    if episode.faults:
+        rows[:, 1:4] = fault_rows(episode.faults, dt, len(table)).T
+    return rows
 
 
 def _fix_gains(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: float, table: Array) -> Array:
     """Return the gain of the position fix at each control instant: 1 at the first instant, 0 without a fix.
 
-    Args:
-        fixes: 0 for each control instant in an outage, else 1.
-        reckoning: the dead reckoning of the episode.
-        fix_filter: the filter of its sensors.
-        dt: control period [s].
-        table: its reference table, shape (T, 8); the filter uses the distances between fixes.
+    `fixes` is 0 for each control instant in an outage, else 1. The filter uses the distances between fixes on the
+    reference.
     """
     instants = np.unique(np.ceil(np.array(reckoning.fixes) / dt - 1e-9).astype(int))
     used = [0, *(k for k in instants.tolist() if 0 < k < len(table) and fixes[k])]
@@ -443,20 +426,14 @@ def _fix_gains(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: fl
 
 
 def weather_of(current: Current, dt: float, slowest: Number, noise: Errors, bias: Errors) -> Weather:
-    """Return the constants of the current and the measurement errors of an episode.
+    """Return the constants of the current and the measurement errors of an episode with control period dt [s].
 
-    Args:
-        current: the current of the episode.
-        dt: control period [s].
-        slowest: least speed of its reference [m/s]; the cap of the current is a fraction of it.
-        noise: standard deviations of the measurements.
-        bias: biases of the measurements.
+    The cap of the current is a fraction of the least speed of the reference, `slowest` [m/s].
     """
-    a = math.exp(-dt / current.gust_time)
-    b = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
-    cap = current.cap * slowest if math.isfinite(current.cap) else current.cap
-    turn = current.turn * dt
-    return Weather(current.V_x, current.V_y, turn, current.gust, cap, a, math.sqrt(1 - a * a), b, noise, bias)
+    c, a = current, math.exp(-dt / current.gust_time)
+    b = math.exp(-dt / c.smoothing) if c.smoothing > 0 else 0.0
+    cap = c.cap * slowest if math.isfinite(c.cap) else c.cap
+    return Weather(c.V_x, c.V_y, c.turn * dt, c.gust, cap, a, math.sqrt(1 - a * a), b, noise, bias)
 
 
 def wave_components(waves: Waves | None, dt: float) -> Array:

@@ -8,12 +8,12 @@ quantities do not change. For the vehicle of the paper all factors are 1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomMismatch, RandomWaves
-from auv_gym.physics.intervals import Interval, check_number
+from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.vehicle import Vehicle
@@ -23,7 +23,7 @@ from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, as_vehicl
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
-"""Largest number of integration steps per control period that is tried for a vehicle."""
+"""Largest number of integration steps per control period that is chosen for a vehicle."""
 
 
 def changed(
@@ -60,103 +60,65 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     Raises:
         ValueError: paths are too slow for the fins of the vehicle, or no integration step is short enough.
     """
-    return _Fit(vehicle_model).scenario(scenario)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """The conversion of a scenario from the vehicle of the paper to another vehicle."""
-
-    vehicle_model: VehicleModel
-
-    @property
-    def units(self) -> Units:
-        return Units.of(self.vehicle_model.vehicle)
-
-    def scenario(self, scenario: Scenario) -> Scenario:
-        length, time = self.units.length, self.units.time
-        parts = "path", "start", "sensors", "current", "waves", "faults"
-        changes = {name: scaled_part(name, getattr(scenario, name), self.units) for name in parts}
-        path: Any = changes["path"]
-        if not isinstance(path, Path):
-            path = replace(path, turn_rate=path.turn_rate * self.turn_rate)
-            self.check_speed(path.speed, scenario.name)
-        top = path.speed[1] if isinstance(path.speed, tuple) else path.speed
-        changes |= {"path": path, "waves": self.waves(changes["waves"], top)}
-        changes |= {"mismatch": self.mismatch(scenario.mismatch, top), "actuators": self.actuators(scenario.actuators)}
-        return self.stepped(
-            scenario,
-            vehicle=self.vehicle_model.vehicle,
-            model=self.vehicle_model,
-            control_dt=float(f"{scenario.control_dt * time:.2g}"),
-            error_scale=scenario.error_scale * length,
-            lost_distance=scenario.lost_distance * length,
-            **changes,
-        )
-
-    @property
-    def turn_rate(self) -> float:
-        """The factor of turn rates: one over time, or that of the turn rate of the vehicle model."""
-        own = self.vehicle_model.turn_rate
-        return self.units.factor(time=-1) if own is None else own / 0.12
-
-    def check_speed(self, speed: Interval, name: str) -> None:
-        low = speed[0] if isinstance(speed, tuple) else speed
-        if low < self.vehicle_model.slowest * (1 - 1e-9):
+    units, v = Units.of(vehicle_model.vehicle), vehicle_model.vehicle
+    parts = "path", "start", "sensors", "current", "waves", "faults"
+    changes = {name: scaled_part(name, getattr(scenario, name), units) for name in parts}
+    path, waves = changes["path"], changes["waves"]
+    if not isinstance(path, Path):
+        turn_rate = units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / 0.12
+        changes["path"] = path = replace(path, turn_rate=path.turn_rate * turn_rate)
+        low = path.speed[0] if isinstance(path.speed, tuple) else path.speed
+        if low < vehicle_model.slowest * (1 - 1e-9):
             raise ValueError(
-                f"scenario {name!r} has speeds from {low:.3g} m/s, but the fins of this vehicle need at least "
-                f"{self.vehicle_model.slowest:g} m/s; take a faster scenario, such as those of the range cruise"
+                f"scenario {scenario.name!r} has speeds from {low:.3g} m/s, but the fins of this vehicle need at least "
+                f"{vehicle_model.slowest:g} m/s; take a faster scenario, such as those of the range cruise"
             )
+    drag = vehicle_model.drag(path.speed[1] if isinstance(path.speed, tuple) else path.speed)
+    if waves is not None:  # the same ratio of forces to drag, including quadratic drag and lift
+        surge, sway, yaw = waves.surge * drag[0] / v.d11, waves.sway * drag[1] / v.d22, waves.yaw * drag[2] / v.d33
+        changes["waves"] = replace(waves, surge=surge, sway=sway, yaw=yaw / units.length)  # of d33 U / (1 m)
+    fitted = replace(
+        scenario,
+        vehicle=v,
+        model=vehicle_model,
+        control_dt=float(f"{scenario.control_dt * units.time:.2g}"),
+        error_scale=scenario.error_scale * units.length,
+        lost_distance=scenario.lost_distance * units.length,
+        substeps=max(scenario.substeps, MOST_SUBSTEPS),
+        mismatch=_adapted_mismatch(scenario.mismatch, drag, units),
+        actuators=_adapted_actuators(scenario.actuators, vehicle_model, units),
+        **changes,
+    )
+    return replace(fitted, substeps=max(scenario.substeps, fitted.least_substeps))
 
-    def drag(self, top: float) -> tuple[float, float, float]:
-        """Return the ratios of the drag per velocity to that of the paper, at the largest speed [m/s] of a path."""
-        mine, paper = self.vehicle_model.drag(top), PAPER.drag(0.0)
-        return mine[0] / paper[0], mine[1] / paper[1], mine[2] / paper[2]
 
-    def waves(self, waves: RandomWaves | None, top: float) -> RandomWaves | None:
-        """Return waves with the same ratio of forces to drag, including quadratic drag and lift."""
-        if waves is None:
-            return None
-        v, (d_u, d_v, d_r) = self.vehicle_model.vehicle, self.vehicle_model.drag(top)
-        yaw = waves.yaw * d_r / v.d33 / self.units.length  # of d33 U / (1 m)
-        return replace(waves, surge=waves.surge * d_u / v.d11, sway=waves.sway * d_v / v.d22, yaw=yaw)
+def _adapted_mismatch(
+    mismatch: RandomMismatch | None, drag: tuple[float, float, float], units: Units
+) -> RandomMismatch | None:
+    """Return a mismatch with the same ratio of quadratic drag to drag, for the drag over velocity of the vehicle."""
+    if mismatch is None:
+        return None
+    if mismatch.vehicles:
+        raise ValueError("a scenario with an ensemble of vehicles is for its own vehicle; take one without")
+    shares = zip(mismatch.quadratic_drag, drag, PAPER.drag(0.0), ((1, -1), (1, -1), (0, -1)), strict=True)
+    X_uu, Y_vv, N_rr = (q * (mine / paper) / units.factor(*rate) for q, mine, paper, rate in shares)
+    return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
 
-    def mismatch(self, mismatch: RandomMismatch | None, top: float) -> RandomMismatch | None:
-        """Return a mismatch with the same ratio of quadratic drag to drag."""
-        if mismatch is None:
-            return None
-        if mismatch.vehicles:
-            raise ValueError("a scenario with an ensemble of vehicles is for its own vehicle; take one without")
-        shares = zip(mismatch.quadratic_drag, self.drag(top), ((1, -1), (1, -1), (0, -1)), strict=True)
-        X_uu, Y_vv, N_rr = (quadratic * drag / self.units.factor(*rate) for quadratic, drag, rate in shares)
-        return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
 
-    def actuators(self, given: Actuators) -> Actuators:
-        """Return actuators with the same ratios to the limits and the lag of the vehicle."""
-        own, time = self.vehicle_model.actuators, self.units.time
-        force, torque = (own.F_u_max / PAPER.actuators.F_u_max, own.F_r_max / PAPER.actuators.F_r_max)
-        slow = time if self.vehicle_model.lag is None else self.vehicle_model.lag / PAPER_LAG
-        return replace(
-            given,
-            F_u_max=given.F_u_max * force,
-            F_r_max=given.F_r_max * torque,
-            F_u_rate=given.F_u_rate * force / time,
-            F_r_rate=given.F_r_rate * torque / time,
-            lag=scaled(given.lag, slow),
-            fin=own.fin,
-            astern=own.astern,
-        )
-
-    def stepped(self, scenario: Scenario, **changes: Any) -> Scenario:
-        """Return the scenario with these changes and the smallest sufficient number of integration steps."""
-        substeps = scenario.substeps
-        while True:
-            try:
-                return replace(scenario, substeps=substeps, **changes)
-            except ValueError as error:
-                if "raise substeps" not in str(error) or substeps >= MOST_SUBSTEPS:
-                    raise
-            substeps += 1
+def _adapted_actuators(actuators: Actuators, vehicle_model: VehicleModel, units: Units) -> Actuators:
+    """Return actuators with the same ratios to the limits and the lag of the vehicle."""
+    limits, time = vehicle_model.actuators, units.time
+    force, torque = limits.F_u_max / PAPER.actuators.F_u_max, limits.F_r_max / PAPER.actuators.F_r_max
+    return replace(
+        actuators,
+        F_u_max=actuators.F_u_max * force,
+        F_r_max=actuators.F_r_max * torque,
+        F_u_rate=actuators.F_u_rate * force / time,
+        F_r_rate=actuators.F_r_rate * torque / time,
+        lag=scaled(actuators.lag, time if vehicle_model.lag is None else vehicle_model.lag / PAPER_LAG),
+        fin=limits.fin,
+        astern=limits.astern,
+    )
 
 
 def in_vehicle_units(scenario: Scenario) -> Scenario:

@@ -27,15 +27,10 @@ def speed_range_mixture(speed_range: str, weights: Mapping[str, float] = CASE_WE
     return tuple((PRESETS[f"{speed_range}-{case}"], weights.get(case, 1.0)) for case in CASES)
 
 
-def weighed(mixture: Mixture, weight: float) -> Mixture:
-    """Return a mixture with its weights multiplied by a number."""
-    return tuple((scenario, weight * share) for scenario, share in mixture)
-
-
 def adverse(speed_range: str) -> Scenario:
     """Return a storm with sensor and actuator faults, delayed commands and a sheared current.
 
-    It combines all faults of the suite unmodelled-v1. Their ranges include none, and are slightly wider than there.
+    The range of each fault includes none.
     """
     storm = PRESETS[f"{speed_range}-storm"]
     act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
@@ -90,49 +85,30 @@ def hasty() -> Scenario:
     return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
 
 
-SLEW_TIMES = (0.5, 1.0)  # [s] in which rate-limited actuators go from zero to their limits
-SLEWING: Mapping[str, Mixture] = {
-    f"{speed_range}-slew": tuple(
-        (slewing(PRESETS[f"{speed_range}-{case}"], seconds), 0.25)
-        for case in ("storm", "actuator")
-        for seconds in SLEW_TIMES
-    )
-    for speed_range in SPEED_RANGES
-}
-"""The cases storm and actuator of each speed range with limited actuator rates; the weights add up to 1."""
-_ADVERSE: Mapping[str, Mixture] = {
-    f"{speed_range}-wrong": (
-        (adverse(speed_range), 0.5),
-        *((slewing(adverse(speed_range), seconds), 0.25) for seconds in SLEW_TIMES),
-    )
-    for speed_range in SPEED_RANGES
-}
-"""Adverse storms of each speed range, half of them with limited actuator rates; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
 """Weights of the cases in which errors remain large, or vehicles spin, when control effort has a small weight."""
-HASTY_WEIGHT = 3.0  # weight of `hasty` for `helm`
-SLEW_WEIGHT = 3.0  # weight of limited actuator rates for `helm`
-WRONG_WEIGHTS = {"slow": 0.5, "cruise": 1.0}  # weights of adverse storms for `helm`
+SLEW_TIMES = (0.5, 1.0)  # [s] in which rate-limited actuators go from zero to their limits
+SLEW_WEIGHT = 0.75  # for `helm`, of a case with limited actuator rates
+ADVERSE_WEIGHTS = {"slow": 0.25, "cruise": 0.5}  # for `helm`, of adverse storms, and of those with limited rates
+HASTY_WEIGHT = 3.0  # for `helm`, of `hasty`
 
 
 def everything() -> Mixture:
     """Return the mixture for `helm`: all cases, limited actuator rates, adverse storms and `hasty`."""
-    cases = (
-        part for speed_range in SPEED_RANGES for part in speed_range_mixture(speed_range, {**HARDEST, "waves": 2.0})
-    )
-    slew = (part for speed_range in SPEED_RANGES for part in weighed(SLEWING[f"{speed_range}-slew"], SLEW_WEIGHT))
-    storms = (
-        part
-        for speed_range in SPEED_RANGES
-        for part in weighed(_ADVERSE[f"{speed_range}-wrong"], WRONG_WEIGHTS[speed_range])
-    )
-    return (*cases, *slew, *storms, (hasty(), HASTY_WEIGHT))
+    parts: list[tuple[Scenario, float]] = []
+    for speed_range in SPEED_RANGES:
+        parts += speed_range_mixture(speed_range, {**HARDEST, "waves": 2.0})
+    for speed_range in SPEED_RANGES:
+        cases = (PRESETS[f"{speed_range}-{case}"] for case in ("storm", "actuator"))
+        parts += [(slewing(scenario, seconds), SLEW_WEIGHT) for scenario in cases for seconds in SLEW_TIMES]
+    for speed_range in SPEED_RANGES:
+        storm, weight = adverse(speed_range), ADVERSE_WEIGHTS[speed_range]
+        parts += [(storm, weight), *((slewing(storm, seconds), 0.5 * weight) for seconds in SLEW_TIMES)]
+    return (*parts, (hasty(), HASTY_WEIGHT))
 
 
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
-    **SLEWING,
-    **_ADVERSE,
     **{f"{speed_range}-outages": outages_and_far_starts(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
     **{

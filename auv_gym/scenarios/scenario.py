@@ -6,9 +6,9 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -17,17 +17,19 @@ from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch,
 from auv_gym.physics.dynamics import Load
 from auv_gym.physics.faults import RandomFaults
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
-from auv_gym.physics.namespaces import Number
+from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.sensors import Sensors
-from auv_gym.physics.stiffness import AT_REST, check_step
+from auv_gym.physics.stiffness import AT_REST, check_step, substeps_for
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.planning.governor import Governor
-from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path, Retimed
+from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
-from auv_gym.task.observation import TERMS
+from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
+
+if TYPE_CHECKING:
+    from auv_gym.planning.planner import Planner
 
 T = TypeVar("T")
 DRAWS = 96
@@ -98,7 +100,6 @@ _PARTS: dict[str, tuple[type, ...]] = {
     "actuators": (Actuators,),
     "start": (Start,),
     "faults": (RandomFaults, type(None)),
-    "governor": (Governor, type(None)),
 }
 
 
@@ -116,7 +117,6 @@ class Scenario:
     actuators: Actuators = field(default_factory=Actuators)
     start: Start = field(default_factory=Start)
     faults: RandomFaults | None = None
-    governor: Governor | None = None  # adapts the pace of the path to the limits and the mean current of an episode
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
     substeps: int = 1  # Runge-Kutta steps in a control period
@@ -142,21 +142,36 @@ class Scenario:
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
-        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients)
+        self._check_step(self._stiffest)
         if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
 
-    def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
-        """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
+    @property
+    def _stiffest(self) -> tuple[Any, ...]:
+        """The coefficients of the stiffest true vehicles, as rows, or of the only one."""
+        return self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients
+
+    @property
+    def _load(self) -> Load:
+        """Largest force in surge [N] and sway [N] and largest moment in yaw [N m] of actuators and waves."""
         surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
         if self.waves is not None:
             speed = self.path.speed[1] if isinstance(self.path.speed, tuple) else self.path.speed
             waves = self.waves.draw(lambda: 0.0, speed, self.vehicle)
             surge, sway, yaw = surge + waves.surge, waves.sway, yaw + waves.yaw
-        check_step(self.control_dt / self.substeps, coefficients, (surge, sway, yaw), speeds)
+        return surge, sway, yaw
+
+    def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
+        """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
+        check_step(self.control_dt / self.substeps, coefficients, self._load, speeds)
+
+    @property
+    def least_substeps(self) -> int:
+        """The smallest valid `substeps` for its vehicles, actuators and waves."""
+        return substeps_for(self.control_dt, self._stiffest, self._load)
 
     @property
     def known(self) -> Vehicle | VehicleModel:
@@ -185,14 +200,10 @@ class Scenario:
         if self.faults:
             faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
             episode = replace(episode, faults=faults)
-        if self.governor:
-            current = episode.current.V_x, episode.current.V_y
-            known = self.vehicle, self.actuators, current, episode.waves
-            episode = replace(episode, path=self.governor.governed(path, *known, duration=duration))
         return episode
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
-        """Return the episode of a path from a uniform stream, without outages, dead reckoning, faults and governor.
+        """Return the episode of a path from a uniform stream, without outages, dead reckoning and faults.
 
         Args:
             path: path of the episode, or N paths as one, see `stack`.
@@ -255,15 +266,22 @@ class Scenario:
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
             faulty=self.faults is not None,
-            span=self.span,
+            bound_factor=self.bound_factor,
         )
 
     @property
-    def span(self) -> int:
+    def bound_factor(self) -> int:
         """Factor of the usual bounds of its observations, a power of two, see `task.bounds`."""
         act = self.actuators
         needed = act.F_u_max / _USUAL["F_u_max"], act.F_r_max / _USUAL["F_r_max"], self.lost_distance / _USUAL["e_x"]
         return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
+
+    @property
+    def planner(self) -> Planner:
+        """The planner of the references of its paths, for the known vehicle; equal scenarios share it."""
+        act = self.actuators
+        limits = act.F_u_max, act.F_r_max
+        return _planner(self.vehicle, self.control_dt, self.steps, limits, act.fin, self.bound_factor)
 
     def parameters(self, episode: Episode) -> Parameters:
         """Return the constants of an episode.
@@ -328,7 +346,7 @@ class Scenario:
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        return from_record(cls, record, "scenario", {"path": _path_of, "vehicle": as_vehicle})
+        return from_record(cls, record, "scenario", {"path": path_from, "vehicle": as_vehicle})
 
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
@@ -346,7 +364,7 @@ class Scenario:
         """Return the scenario of a .json or .toml file.
 
         Raises:
-            ValueError: the file is not a regular file, too large, no valid JSON or TOML, or has a wrong entry.
+            ValueError: the file is no valid JSON or TOML, or has a wrong entry.
             OSError: the file cannot be read.
         """
         record = read_table(FilePath(file))
@@ -354,14 +372,19 @@ class Scenario:
             return cls.from_dict(record)
 
 
+@lru_cache(maxsize=64)
+def _planner(
+    vehicle: Vehicle, control_dt: float, steps: int, limits: tuple[float, float], fin: float, bound_factor: int
+) -> Planner:
+    # Imported here: it loads the compiler of equations, which scenarios alone do not need.
+    from auv_gym.planning.planner import Planner
+
+    times: Array = control_dt * np.arange(steps + 1, dtype=np.float64)
+    return Planner(vehicle, times, limits, fin, reference_bounds(bound_factor))
+
+
 def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
-
-
-def _path_of(record: Any) -> Path | RandomPath:
-    if not isinstance(record, Mapping):
-        raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
-    return path_from(record) if "family" in record else from_record(RandomPath, record, "path")
 
 
 def path_record(path: Path) -> dict[str, Any]:
@@ -373,21 +396,20 @@ def path_record(path: Path) -> dict[str, Any]:
     family = next((name for name, cls in PATHS.items() if type(path) is cls), None)
     if family is None:
         raise ValueError(f"{type(path).__name__} is not in auv_gym.planning.paths.PATHS, so it cannot be written")
-    inner = {"path": path_record(path.path)} if isinstance(path, Retimed) else {}
-    return {"family": family, **to_record(path), **inner}
+    return {"family": family, **to_record(path)}
 
 
-def path_from(record: Any) -> Path:
-    """Return the path of a dict in the format of `path_record`.
+def path_from(record: Any) -> Any:
+    """Return the path of a dict in the format of `path_record`, or a `RandomPath` if the dict has no family.
 
     Raises:
         ValueError: the family is unknown, or an entry is unknown or wrong.
     """
     if not isinstance(record, Mapping):
-        raise ValueError(f"path is {record!r}; it must be a table with a family")
+        raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
     rest = dict(record)
-    family = rest.pop("family", None)
+    if (family := rest.pop("family", None)) is None:
+        return from_record(RandomPath, rest, "path")
     if not isinstance(family, str) or family not in PATHS:
         raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
-    special = {"path": path_from} if PATHS[family] is Retimed else None
-    return cast(Path, from_record(PATHS[family], rest, f"path {family}", special))
+    return from_record(PATHS[family], rest, f"path {family}")

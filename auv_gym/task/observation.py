@@ -1,6 +1,6 @@
-"""Observation, reward and failure, for all environments.
+"""The observation, for all environments.
 
-The scales of the observation are fixed powers of two, so decoding returns the encoded numbers exactly.
+Its scales are fixed powers of two, so decoding returns the encoded numbers exactly.
 """
 
 from __future__ import annotations
@@ -67,29 +67,29 @@ _LARGE = "m", "N", "N m"
 """Units of the terms whose bounds depend on the size of the vehicle."""
 
 
-def bounds(span: int) -> NDArray[np.float64]:
-    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, times `span` for lengths, forces and torques.
+def bounds(bound_factor: int) -> NDArray[np.float64]:
+    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, times a factor for lengths, forces and torques.
 
     The scales are the same for all vehicles, so an observation is decoded without its scenario. Scenarios of ships have
-    wider bounds of lengths and forces: their `span` is a power of two above 1.
+    wider bounds of lengths and forces: their bound factor is a power of two above 1.
     """
-    return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(span), 1.0)
+    return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(bound_factor), 1.0)
 
 
-_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERROR_TERMS]) for k in range(32)}  # by span
+_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERROR_TERMS]) for k in range(32)}  # by bound factor
 
 
-def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
-    """Return observations, with the terms on the first axis, for terms in SI units; for the span see `bounds`.
+def encode(terms: Sequence[Number], ns: Namespace, bound_factor: int) -> Any:
+    """Return observations, with the terms on the first axis, for terms in SI units; for the bound factor see `bounds`.
 
     For a single vehicle a check of the bounds takes less time than clipping.
     """
     rows = ns.scaled(terms, _INVERSE)
-    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERROR_TERMS], L * span
+    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERROR_TERMS], L * bound_factor
     if ns is not FLOATS or not (
         -far < e_x < far and -far < e_y < far and -V < u_e < V and -V < v_e < V and -W < r_e < W
     ):
-        rows[:ERROR_TERMS] = ns.bounded(rows[:ERROR_TERMS], _ERROR_BOUNDS[span])
+        rows[:ERROR_TERMS] = ns.bounded(rows[:ERROR_TERMS], _ERROR_BOUNDS[bound_factor])
     return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
 
 
@@ -98,9 +98,9 @@ def decode(rows: Any, ns: Namespace) -> Any:
     return ns.scaled(rows, _SCALES)
 
 
-def encode_observation(terms: Sequence[float], span: int = 1) -> NDArray[np.float64]:
-    """Return the observation, shape (SIZE,), of terms in SI units; for the span see `bounds`."""
-    observation: NDArray[np.float64] = encode(terms, FLOATS, span)
+def encode_observation(terms: Sequence[float], bound_factor: int = 1) -> NDArray[np.float64]:
+    """Return the observation, shape (SIZE,), of terms in SI units; for the bound factor see `bounds`."""
+    observation: NDArray[np.float64] = encode(terms, FLOATS, bound_factor)
     return observation
 
 
@@ -141,38 +141,8 @@ def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number
     return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
-_REFERENCE_TERMS = [TERMS[k] for k in range(*map(Observation._fields.index, ("u_R", "cos_psi")))]
-"""The terms of the velocities and forces of the reference."""
-
-
-def reference_bounds(span: int) -> list[float]:
+def reference_bounds(bound_factor: int) -> list[float]:
     """Return the largest |u|, |v|, |r|, |F_u|, |F_r| of a reference within the `bounds`, in SI units."""
-    most = dict(zip(Observation._fields, (bounds(span) * SCALES).tolist(), strict=True))
-    return [most[term.name] for term in _REFERENCE_TERMS]
-
-
-def check_reference(table: NDArray[np.float64], span: int) -> None:
-    """Raise ValueError if rates or forces of a reference table, shape (T, 8), exceed the bounds of observations."""
-    largest = np.abs(table[:, 3:]).max(axis=0).tolist()
-    for term, value, bound in zip(_REFERENCE_TERMS, largest, reference_bounds(span), strict=True):
-        if not value <= bound:
-            raise ValueError(
-                f"reference {term.name} reaches {value:.4g} {term.unit}; an observation holds at most {bound:g}"
-            )
-
-
-def reward(
-    squared_error: Number, squared_change: Number, error_scale: Number, rate_weight: Number, ns: Namespace
-) -> Number:
-    """Return 1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2.
-
-    The maximum is 1, at zero position error e. For large errors the reward decreases as 1/e, so its gradient does not
-    vanish. It is positive for a constant action, so it is never better to end an episode early. It does not depend on
-    the heading, since a current requires a crab angle.
-    """
-    return 1 / ns.sqrt(1 + squared_error / (error_scale * error_scale)) - rate_weight * squared_change
-
-
-def failed(squared_error: Number, lost_distance: Number) -> Number:
-    """Return whether the distance to the reference exceeds lost_distance [m]."""
-    return (squared_error <= lost_distance * lost_distance) ^ True  # True for nan as well
+    first, end = map(Observation._fields.index, ("u_R", "cos_psi"))
+    most: list[float] = (bounds(bound_factor) * SCALES)[first:end].tolist()
+    return most

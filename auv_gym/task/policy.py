@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -112,8 +112,11 @@ class Law(ABC):
 
 
 def traceable(policy: Any) -> bool:
-    """Return whether the actions of a policy are given by its `forces`: a `Law` with the method `Law.predict`."""
-    return isinstance(policy, Law) and type(policy).predict is Law.predict
+    """Return whether the actions of a policy are given by its `forces`: a hashable `Law` with `Law.predict`.
+
+    Equal laws share their compiled code.
+    """
+    return isinstance(policy, Law) and isinstance(policy, Hashable) and type(policy).predict is Law.predict
 
 
 def preview_of(policy: Any) -> tuple[int, ...]:

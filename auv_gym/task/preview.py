@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Indices, Namespace, Number
 from auv_gym.planning.paths import Path, evaluate_paths
-from auv_gym.task.observation import SIZE, L, Observation, bounds
+from auv_gym.task.observation import SIZE, L, Observation, bounds, decode
 
 _FARTHEST = 1000
 """Largest number of control periods of a preview."""
@@ -56,17 +56,17 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
     return extra
 
 
-def observation_bounds(preview: tuple[int, ...], span: int) -> Array:
-    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the span see `bounds`."""
-    return np.append(bounds(span), np.full(2 * len(preview), L * span))
+def observation_bounds(preview: tuple[int, ...], bound_factor: int) -> Array:
+    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the bound factor see `bounds`."""
+    return np.append(bounds(bound_factor), np.full(2 * len(preview), L * bound_factor))
 
 
 class Preview:
     """Future positions of the references of N sub-environments, P control periods ahead.
 
     The columns of a preview are, for each of its times, the displacement x, y [m] of the reference from now to this
-    time, along the measured body axes. The scale is 1, the bound `L` times the span, see `bounds`. After the last
-    instant of an episode the path continues. After the end of a path the reference has its last velocity.
+    time, along the measured body axes. The scale is 1, the bound is `L` times the bound factor, see `bounds`. After the
+    last instant of an episode the path continues. After the end of a path the reference has its last velocity.
     """
 
     def __init__(self, num_envs: int, periods: Sequence[int], steps: int) -> None:
@@ -105,22 +105,22 @@ class Preview:
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
 
 
-def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int) -> Any:
-    """Return the columns of a preview as rows, shape (2 P, n), for displacements in the world [m], shape (P, 2, n).
+def with_preview(rows: Array, ahead: Array, bound_factor: int) -> Array:
+    """Return observations with their previews, a new array (SIZE + 2 P, n).
 
     Args:
-        ahead: the displacements.
-        o: the observation; only its measured heading is used.
-        ns: the namespace of arrays or tensors.
-        span: see `bounds`.
+        rows: the observations, shape (SIZE, n) or more rows.
+        ahead: displacements in the world [m], see `Preview.ahead`, shape (P, 2, n).
+        bound_factor: see `bounds`.
     """
-    return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns, span))
+    o = Observation._make(decode(rows[:SIZE], ARRAYS))
+    return np.vstack((rows, *preview_columns([*ahead.reshape(2 * len(ahead), -1)], o, ARRAYS, bound_factor)))
 
 
-def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, span: int) -> tuple[Number, ...]:
+def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, bound_factor: int) -> tuple[Number, ...]:
     """Return the columns of a preview as components, for displacements x, y, x, y, ... [m] of any numbers."""
     pairs = zip(ahead[::2], ahead[1::2], strict=True)
-    far = L * span
+    far = L * bound_factor
     return tuple(ns.clip(z, -far, far) for x, y in pairs for z in to_body(x, y, o.cos_psi, o.sin_psi))
 
 

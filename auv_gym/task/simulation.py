@@ -1,6 +1,6 @@
 """One control step of the simulation: vehicle, actuators, sensors, observation and reward.
 
-It is a pure function of (plant, action, sample) on components, and is used by the scalar, vector and torch environment.
+It is a pure function of (plant, action, sample) on components, and is used by all environments.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import flatten, numbered, unflatten
 from auv_gym.physics.sensors import low_pass
 from auv_gym.physics.vehicle import Coefficients, CrossTerms
-from auv_gym.task.observation import failed, reward
+from auv_gym.task.reward import failed, reward
 
 
 class PlantMemory(NamedTuple):
@@ -101,7 +101,7 @@ class Parts(NamedTuple):
     finned: bool = False  # yaw torque of fins, which depends on the speed
     astern: bool = False  # smaller thrust astern than ahead
     faulty: bool = False  # faults of actuators and measurements
-    span: int = 1  # factor of the bounds of an observation, see `observation.bounds`
+    bound_factor: int = 1  # factor of the bounds of an observation, see `observation.bounds`
 
     def joined(self, other: Parts) -> Parts:
         """Return the union of the parts in use, with the larger number of integration steps."""
@@ -228,17 +228,13 @@ def moved(
     return state, force
 
 
-MotionStep: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
-"""A function with the interface of `moved`."""
-
-
 def step(
     plant: Plant,
     action: Sequence[Number],
     sample: Sequence[Number],
     p: Parameters,
     ns: Namespace,
-    move: MotionStep = moved,
+    move: Callable[..., tuple[State, Force]] = moved,
 ) -> tuple[Plant, Terms, StepOutcome]:
     """Return the plant one control period later, its observation, and the outcome of the step.
 
@@ -248,7 +244,7 @@ def step(
         sample: the exogenous inputs at the end of the period, the numbers of a `Sample`.
         p: the constants of the episode.
         ns: the namespace of the numbers.
-        move: the motion of vehicle and actuators, by default by the equations of motion.
+        move: a function with the interface of `moved`, which moves vehicle and actuators.
     """
     before, (F_u, F_r, a_u0, a_r0, memory), parts = plant[:6], plant[6:], p.parts
     a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)

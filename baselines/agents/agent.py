@@ -25,17 +25,16 @@ from auv_gym.scenarios.records import from_record, guarded, to_record
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Policy, checked_authority
-from baselines.agents.features import ERROR_FEATURES, STANDARD, Inputs
+from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.model_card import CURVE_FILE, model_card
-from baselines.agents.names import FADING, agent_folder, is_path
+from baselines.agents.names import PolicyName, agent_folder, shipped_agents
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control import POLICIES, make_controller
 from baselines.control.open_loop import NO_EXPERT, Zero
-from baselines.policy import Privileged
 from baselines.tools.files import read_bytes, read_json, synchronise, write_atomically
 
-_FORMAT = 2
+_FORMAT = 3
 """Version of the folder's layout."""
 WEIGHTS = "weights.safetensors"  # file of the network's arrays
 AGENT_FILE = "agent.json"  # file of everything else, see `ENTRIES`
@@ -43,19 +42,11 @@ _SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
 """Reference speeds [m/s] for which agents of a speed range are trained; both cover 0.2 to 0.5 m/s."""
 CARD = "card.md"  # file of the description
 OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # name and scale of each term of an observation
-ENTRIES = (  # of agent.json
-    "format",
-    "network",
-    "inputs",
-    "features",
-    "observation",
-    "expert",
-    "authority",
-    "scenarios",
-    "region",
-    "weights_sha256",
+ENTRIES = (
+    "format", "network", "inputs", "features", "observation", "expert", "authority", "scenarios", "weights_sha256",
     "training",
-)
+)  # fmt: skip
+"""The entries of agent.json."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +54,7 @@ class Agent:
     """A network that corrects an expert, with a record of its training.
 
     Raises:
-        ValueError: the weights do not fit the network, the expert is a path, an authority is not in (0, 2], or the
-            region is not of positive numbers.
+        ValueError: the weights do not fit the network, the expert is a path, or an authority is not in (0, 2].
     """
 
     network: Network
@@ -73,7 +63,6 @@ class Agent:
     authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
     scenarios: tuple[str, ...] = ()  # names of the training scenarios
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
-    region: tuple[float, ...] | None = None  # bounds of the errors in validation, see `residual_policy.trust`
     inputs: Inputs = STANDARD
 
     def __post_init__(self) -> None:
@@ -81,40 +70,25 @@ class Agent:
             raise ValueError(f"the network has {self.network.inputs} inputs; there are {features} features")
         check_expert(self.expert)
         object.__setattr__(self, "authority", checked_authority(self.authority))
-        if self.region is not None:
-            object.__setattr__(self, "region", tuple(self.region))
-            if len(self.region) != ERROR_FEATURES or not all(
-                isinstance(x, float) and 0 < x < math.inf for x in self.region
-            ):
-                raise ValueError(f"region is {self.region!r}; it must be {ERROR_FEATURES} positive numbers")
         check_weights(self.network, self.weights)
 
-    def policy(
-        self, fade: bool = False, vehicle: Vehicle | VehicleModel | None = None, precision: str = "float64"
-    ) -> Policy:
+    def policy(self, vehicle: Vehicle | VehicleModel | None = None, precision: str = "float64") -> Policy:
         """Return the policy: expert plus correction of the network.
 
         Args:
-            fade: reduce the correction if an error leaves the region of the training. The correction is zero if an
-                error is twice as large as the region or larger.
             vehicle: nominal model of the expert, and an input of a network with `Inputs.nominal_vehicle`. None: the
                 paper's.
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:
-            ValueError: see `make_expert`; or `fade` is set and the agent has no expert or no region.
+            ValueError: see `make_expert`.
         """
-        if fade and self.expert == NO_EXPERT:
-            raise ValueError("the agent has no expert, so its corrections cannot fade to an expert's action")
-        if fade and self.region is None:
-            raise ValueError("the agent has no region of its training, so it cannot fade; train it again")
         known = as_vehicle(vehicle or PAPER_VEHICLE)
         expert = make_expert(self.expert, vehicle=known)
-        region = self.region if fade else None
-        own = {name.partition("-")[0] for name in self.scenarios}
-        speeds = _SPEEDS[own.pop()] if len(own) == 1 and own <= set(_SPEEDS) else (0.0, math.inf)
+        ranges = {name.partition("-")[0] for name in self.scenarios}
+        speeds = _SPEEDS[ranges.pop()] if len(ranges) == 1 and ranges <= set(_SPEEDS) else (0.0, math.inf)
         network = self.network, self.weights, self.authority
-        return ResidualPolicy(expert, *network, region, self.inputs, precision, speeds, known)
+        return ResidualPolicy(expert, *network, self.inputs, precision, speeds, known)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder and replace an older one; the folder is never incomplete.
@@ -151,7 +125,6 @@ class Agent:
             "expert": self.expert,
             "authority": list(self.authority),
             "scenarios": list(self.scenarios),
-            "region": None if self.region is None else list(self.region),
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
             "training": dict(self.training),
         }
@@ -177,16 +150,15 @@ class Agent:
                 _pair(record["authority"]),
                 tuple(record["scenarios"]),
                 record["training"],
-                record["region"],
                 from_record(Inputs, record["inputs"], "inputs"),
             )
 
 
 def check_expert(name: Any) -> None:
     """Raise ValueError unless a name may be that of an agent's expert."""
-    if not isinstance(name, str) or is_path(name):
+    if not isinstance(name, str) or (PolicyName.of(name).kind != "controller" and name not in shipped_agents()):
         raise ValueError(f"expert is {name!r}; an agent's expert must be a policy's name, since paths run code")
-    if name in POLICIES and isinstance(POLICIES[name][0], Privileged):
+    if name in POLICIES and POLICIES[name].privileged:
         raise ValueError(f"expert {name!r} needs full information; choose one that uses the observation only")
 
 
@@ -203,8 +175,8 @@ def make_expert(name: str, vehicle: Vehicle | None = None) -> Policy:
     check_expert(name)
     if name == NO_EXPERT:
         return Zero()
-    if (folder := agent_folder(name.removesuffix(FADING))) is not None:
-        return Agent.load(folder).policy(name.endswith(FADING), vehicle)
+    if (folder := agent_folder(name)) is not None:
+        return Agent.load(folder).policy(vehicle)
     return make_controller(name, vehicle)
 
 
@@ -225,8 +197,6 @@ def _checked_record(record: Any) -> dict[str, Any]:
             raise ValueError(f"it was trained with other {name} than those of this version; train it again")
     if not isinstance(record["training"], dict):
         raise ValueError(f"{AGENT_FILE}: training must be a table")
-    if not isinstance(record["region"], (list, type(None))):
-        raise ValueError(f"{AGENT_FILE}: region must be a list of numbers, or null")
     if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):
         raise ValueError(f"{AGENT_FILE}: scenarios must be a list of names")
     return record

@@ -160,12 +160,12 @@ def _verdict(i: int, reading: _Reading, memory: CheckMemory, dt: Number, ns: Nam
     jumped = (_norm([reading.change[k] for k in group.rows], ns) > JUMP * group.floor) | (memory.waits[i] > 0.0)
     far = (memory.age >= SETTLED) & (size > group.floor + USUAL * usual) & jumped
     off, share = frozen | far, ns.clip(dt / MEMORY, 0.0, 1.0)
-    kept = off | (memory.age <= 0.0)
-    usual = ns.where(kept, usual, usual + share * (size - usual))
+    unchanged = off | (memory.age <= 0.0)
+    usual = ns.where(unchanged, usual, usual + share * (size - usual))
     return _Verdict(
         off,
         ns.where(far, memory.waits[i] + dt, 0.0 * dt),
-        ns.where(kept, rough, rough + share * (second - rough)),
+        ns.where(unchanged, rough, rough + share * (second - rough)),
         ns.where(frozen, usual + dt * group.floor, usual),  # the prediction drifts
     )
 
@@ -260,9 +260,9 @@ def _turn(seen: Array, rows: NDArray[Any], columns: int) -> None:
     """Rotate the columns of a preview from the measured heading into that of the checked observations."""
     c, s = Observation._fields.index("cos_psi"), Observation._fields.index("sin_psi")
     turn = np.arctan2(rows[:, s], rows[:, c]) - np.arctan2(seen[:, s], seen[:, c])
-    own = turn != 0.0
-    angle = turn[own, None]
-    x, y = (seen[own, first : SIZE + columns : 2] for first in (SIZE, SIZE + 1))
-    seen[own, SIZE : SIZE + columns : 2], seen[own, SIZE + 1 : SIZE + columns : 2] = to_world(
+    turned = turn != 0.0
+    angle = turn[turned, None]
+    x, y = (seen[turned, first : SIZE + columns : 2] for first in (SIZE, SIZE + 1))
+    seen[turned, SIZE : SIZE + columns : 2], seen[turned, SIZE + 1 : SIZE + columns : 2] = to_world(
         x, y, np.cos(angle), np.sin(angle)
     )

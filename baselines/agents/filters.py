@@ -81,7 +81,7 @@ def gains(speed_range: str) -> tuple[tuple[FilterGainTable, FilterGainTable], ..
     1, s, s^2, ... with s = `speed_share`.
     """
     record = json.loads(FILTER_GAINS.read_text(encoding="utf-8"))
-    return tuple((own["along"], own["across"]) for own in record[speed_range])
+    return tuple((tables["along"], tables["across"]) for tables in record[speed_range])
 
 
 def filter_step(
@@ -108,21 +108,22 @@ def filter_step(
     moved_x, moved_y = x_e - x_before + step[0], y_e - y_before + step[1]
     held = (moved_x * moved_x + moved_y * moved_y < _HELD * _HELD) & (age > 0.0)
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     for i, (lag, *tables) in enumerate(zip(LAGS, gains("slow"), gains("cruise"), strict=True)):
-        own = estimate_of(rows[i * len(MEMORY_ENTRIES) : (i + 1) * len(MEMORY_ENTRIES)], lag)
+        earlier = estimate_of(rows[i * len(MEMORY_ENTRIES) : (i + 1) * len(MEMORY_ENTRIES)], lag)
         command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
-        predicted = transition(own, command, step, o.dt, coefficients, ns)
+        predicted = transition(earlier, command, step, o.dt, coefficients, ns)
         z = _corrected(predicted, measured, held, o, tables, speed_share(speed), ns)
         first, diverged = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _diverged(z)
         new = [ns.where(initial | diverged, a, b) for a, b in zip(first, z, strict=True)]
-        if found:
-            still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # estimate of the first filter, in still water
-            reset = (age < _SETTLED) | _far(found[0], z, speed) | diverged
+        if estimates:
+            still = [*estimates[0][: PLACE.V_x], *first[PLACE.V_x :]]  # estimate of the first filter, in still water
+            reset = (age < _SETTLED) | _far(estimates[0], z, speed) | diverged
             new = [ns.where(reset, a, b) for a, b in zip(still, new, strict=True)]
-        found.append(Estimate._make(new))
-    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in MEMORY_ENTRIES))
-    return FilterOutput(tuple(found), held), after
+        estimates.append(Estimate._make(new))
+    entries = (getattr(z, name) for z in estimates for name in MEMORY_ENTRIES)
+    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *entries)
+    return FilterOutput(tuple(estimates), held), after
 
 
 def _far(a: Estimate, b: Estimate, speed: Number) -> Any:
@@ -167,7 +168,7 @@ def _corrected(
     changes: dict[str, Number] = {}
     fast = is_fast(o.u_R, o.v_R)
     for i, (names, innovations) in enumerate(((ALONG, (x, u)), (ACROSS, (y, psi, v, r)))):
-        for name, slow, cruise in zip(names, *(own[i] for own in tables), strict=True):
+        for name, slow, cruise in zip(names, *(table[i] for table in tables), strict=True):
             K = [ns.where(fast, polynomial(c, share), polynomial(s, share)) for s, c in zip(slow, cruise, strict=True)]
             changes[name] = sum(k * e for k, e in zip(K, innovations, strict=True))
     for a, b in VECTORS:

@@ -136,23 +136,23 @@ class Guarded(Batched):
         """Return actions and memory, see `Batched`."""
         o, extra = decode_observation(rows), rows[:, SIZE:]
         split = 1 + int(state[0][0, ARRAYS_OF_POLICY]) if state else 1
-        own = renewed(state and state[:1], (np.zeros((len(rows), 6)),), episode_start)[0]
+        monitor = renewed(state and state[:1], (np.zeros((len(rows), 6)),), episode_start)[0]
         pasts = (state[1:split] or None, state[split:] or None) if state else (None, None)
         seen = (np.hstack((rows[:, :SIZE], extra[:, columns])) for columns in (self._seen, self._seen_by_fallback))
         (action, past), (other, other_past) = (
             policy.predict(row, before, episode_start, deterministic)
             for policy, row, before in zip((self.policy, self.fallback), seen, pasts, strict=True)
         )
-        begins = (own[:, GUARD_SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, MEAN] == 0)
-        own = self._monitored(o, own, begins)
-        share = own[:, GUARD_SHARE, None]
+        begins = (monitor[:, GUARD_SHARE] == 0) & (monitor[:, LEFT] == 0) & (monitor[:, MEAN] == 0)
+        monitor = self._monitored(o, monitor, begins)
+        share = monitor[:, GUARD_SHARE, None]
         if isinstance(self.policy, ResidualPolicy) and past is not None:
             # The last correction is an input of the network: it must be the one that acted.
             past = (*past[:_CORRECTION], past[_CORRECTION] * share, *past[_CORRECTION + 1 :])
-        own[:, ARRAYS_OF_POLICY] = len(past or ())
+        monitor[:, ARRAYS_OF_POLICY] = len(past or ())
         mixed = (other + share * (action - other)).astype(np.float32)
         command = np.where(share >= 1.0, action, np.where(share <= 0.0, other, mixed))
-        return command, (own, *(past or ()), *(other_past or ()))
+        return command, (monitor, *(past or ()), *(other_past or ()))
 
     def _monitored(self, o: Observation, before: Array, begins: NDArray[np.bool_]) -> Array:
         """Return the guard's memory after one more observation."""

@@ -14,8 +14,8 @@ from auv_gym.installation import install
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
-from baselines.agents.names import COMMAND, agent_folder
-from baselines.agents.onnx_models import SUFFIX, OnnxModel
+from baselines.agents.names import COMMAND, PolicyName
+from baselines.agents.onnx_models import OnnxModel
 from baselines.agents.programs import ProgramPolicy
 from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, vehicle_option
@@ -26,47 +26,40 @@ from baselines.tools.files import read_bytes
 
 def caution(name: str) -> str | None:
     """Return the warning about a policy that is to be loaded, None if there is none."""
-    if name.endswith(".zip") and not name.startswith(COMMAND):
+    if PolicyName.of(name).kind == "sb3":
         text = f"{name} holds pickled objects, which can run any code: load only files that you trust"
         beside = statistics_file(Path(name))
         return f"{text}; its observations are normalised by {beside}" if beside else text
     return None
 
 
-def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
+def load_policy(name: PolicyName, vehicle: Any = None, **options: Any) -> Policy:
     """Return the policy of a path.
 
     Args:
-        path: "FILE.py:FACTORY", where the factory is called with the options, "FILE.zip", "FILE.onnx", an agent's
-            folder, or "cmd:" and the words of a command.
+        name: its parts; the base is "FILE.py:FACTORY", where the factory is called with the options, "FILE.zip",
+            "FILE.onnx", an agent's folder, or "cmd:" and the words of a command.
         vehicle: the nominal one, see `baselines.make_policy`.
-        options: of the factory, `fade` of an agent, see `baselines.agents.agent.Agent.policy`, or `authority` of a
-            model that was trained on the residual environment.
+        options: of the factory, or `authority` of a model that was trained on the residual environment.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: the file holds no such policy, or an option is unknown.
     """
-    if path.startswith(COMMAND) or path.endswith(SUFFIX):
-        if options:
-            raise ValueError(f"policy {path!r} takes no option {next(iter(options))!r}; it has no options")
-        return _program(path.removeprefix(COMMAND), vehicle) if path.startswith(COMMAND) else _onnx(Path(path))
-    if ".py:" not in path:
-        model = path.endswith(".zip")
-        allowed = "authority" if model else "fade"
-        if unknown := [name for name in options if name != allowed]:
-            raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}, only {allowed}")
-        return (
-            load_model(Path(path), scaled_for(vehicle, partial(make_controller, "backstepping")), **options)
-            if model
-            else _agent(Path(path), vehicle, **options)
-        )
-    file, _, factory = path.rpartition(":")
-    return _made(Path(file), factory, vehicle, options)
-
-
-def _program(command: str, vehicle: Any) -> Policy:
-    return ProgramPolicy(command, None if vehicle is None else as_vehicle(vehicle))
+    kind, base = name.kind, name.base
+    if kind == "python":
+        file, _, factory = base.rpartition(":")
+        return _made(Path(file), factory, vehicle, options)
+    allowed = ("authority",) if kind == "sb3" else ()
+    if unknown := [option for option in options if option not in allowed]:
+        raise ValueError(f"policy {base!r} takes no option {unknown[0]!r}; it has {', '.join(allowed) or 'no options'}")
+    if kind == "program":
+        return ProgramPolicy(base.removeprefix(COMMAND), None if vehicle is None else as_vehicle(vehicle))
+    if kind == "onnx":
+        return _onnx(Path(base))
+    if kind == "sb3":
+        return load_model(Path(base), scaled_for(vehicle, partial(make_controller, "backstepping")), **options)
+    return scaled_for(vehicle, _agent(name).policy)
 
 
 def _onnx(file: Path) -> Policy:
@@ -76,12 +69,12 @@ def _onnx(file: Path) -> Policy:
         raise ValueError(f"{file} needs ONNX Runtime: {install('export')}") from error
 
 
-def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
-    if folder.is_dir() and agent_folder(str(folder)) is None:
+def _agent(name: PolicyName) -> Agent:
+    if name.folder is None and (folder := Path(name.base)).is_dir():
         several = sorted(one.parent.name for one in folder.glob("*/agent/agent.json"))
         hint = f"choose one of its folders {', '.join(several)}" if several else "finish its training with --resume"
         raise ValueError(f"{folder} has no agent; {hint}")
-    return scaled_for(vehicle, partial(Agent.load(agent_folder(str(folder)) or folder).policy, fade))
+    return Agent.load(name.folder or name.base)
 
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:

@@ -1,16 +1,13 @@
-"""Names of policies: agents that ship with the package, paths, and suffixes."""
+"""Names of policies: BASE[:guard[=FALLBACK]][:checked], where the base is a name, a path or a command."""
 
 from __future__ import annotations
 
 from pathlib import Path
-
-from auv_gym.installation import RECORD, found
+from typing import NamedTuple
 
 SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 """Folder of the agents that ship with the package, one folder each."""
 AGENT_FOLDER = "agent"  # folder of the trained agent in the folder of a run
-FADING = ":fade"
-"""Suffix of an agent's name: its corrections fade outside of the region of its training, see `Agent.policy`."""
 GUARD = ":guard"
 """Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
 name of the fallback may follow."""
@@ -20,51 +17,49 @@ COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
 
+class PolicyName(NamedTuple):
+    """The parts of a policy's name."""
+
+    base: str  # name, path or command of the policy itself
+    fallback: str | None = None  # of its guard, "" for the default one; None: it has no guard
+    checked: bool = False  # whether its measurements are checked
+
+    @classmethod
+    def of(cls, name: str) -> PolicyName:
+        """Return the parts of a name; a command has no suffixes."""
+        if name.startswith(COMMAND):
+            return cls(name)
+        bare = name.removesuffix(CHECKED) or name
+        base, mark, fallback = bare.rpartition(GUARD)
+        guarded = bool(mark and base) and (not fallback or (fallback[0] == "=" and len(fallback) > 1))
+        return cls(base if guarded else bare, fallback[1:] if guarded else None, bare != name)
+
+    @property
+    def kind(self) -> str:
+        """What the base is: "program", "onnx", "python", "sb3", "agent", or "controller" for every other name."""
+        base = self.base
+        if base.startswith(COMMAND):
+            return "program"
+        if ".py:" in base:
+            return "python"
+        if (suffix := Path(base).suffix) in (".onnx", ".zip"):
+            return "onnx" if suffix == ".onnx" else "sb3"
+        return "agent" if "/" in base or "\\" in base or self.folder is not None else "controller"
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the agent; None if the base is no agent."""
+        return agent_folder(self.base)
+
+
 def shipped_agents() -> list[str]:
-    """Return the names of the agents in `SHIPPED_FOLDER`, and in a checkout also of those in the research record."""
-    return sorted(
-        file.parent.name
-        for folder in (SHIPPED_FOLDER, RECORD / SHIPPED_FOLDER.name)
-        for file in folder.glob("*/agent.json")
-    )
-
-
-def agent_of(study: str) -> str:
-    """Return the agent of a study: "helm" for the study "helm-slow", which has its results in one speed range."""
-    return study if study in shipped_agents() else study.rpartition("-")[0] or study
+    """Return the names of the agents in `SHIPPED_FOLDER`."""
+    return sorted(file.parent.name for file in SHIPPED_FOLDER.glob("*/agent.json"))
 
 
 def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent by its name, its path, or the folder of its training run; None if there is none."""
     if name.startswith(COMMAND):
         return None
-    places = (found(SHIPPED_FOLDER, name),) if name in shipped_agents() else (Path(name), Path(name, AGENT_FOLDER))
+    places = (SHIPPED_FOLDER / name, Path(name), Path(name, AGENT_FOLDER))
     return next((place for place in places if (place / "agent.json").is_file()), None)
-
-
-def checked_name(name: str) -> str | None:
-    """Return the name of the policy whose measurements are checked, None for a name without `CHECKED`."""
-    bare = name.removesuffix(CHECKED)
-    return bare if bare not in ("", name) and not name.startswith(COMMAND) else None
-
-
-def guarded_name(name: str) -> tuple[str, str] | None:
-    """Return the policy's name and that of its fallback, "" for the default one; None for a name without `GUARD`."""
-    bare, mark, other = name.rpartition(GUARD)
-    if name.startswith(COMMAND) or not bare or not (other == "" or (other[0] == "=" and len(other) > 1)):
-        return None
-    return (bare, other[1:]) if mark else None
-
-
-def bare_name(name: str) -> str:
-    """Return a policy's name without `CHECKED`, `GUARD` and `FADING`."""
-    name = checked_name(name) or name
-    parts = guarded_name(name)
-    return (parts[0] if parts else name).removesuffix(FADING)
-
-
-def is_path(name: str) -> bool:
-    """Return whether a policy's name is a path or a command."""
-    known = name.endswith((".zip", ".onnx")) or ".py:" in name or "/" in name or "\\" in name
-    known = known or name.startswith(COMMAND)
-    return known or (name not in shipped_agents() and agent_folder(name) is not None)

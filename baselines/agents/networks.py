@@ -66,11 +66,11 @@ class Gru:
         """
         half = np.repeat((0.5, 1.0), (2 * self.hidden, self.hidden))
         encoder, decoder, head = _columns(weights, ("encoder", "decoder", "head"), precision)
-        given, own = (
+        of_inputs, of_hidden = (
             _column(half[:, None] * weights[f"gru.weight_{side}"], half * weights[f"gru.bias_{side}"], precision)
             for side in ("ih", "hh")
         )
-        return encoder, given, own, decoder, head
+        return encoder, of_inputs, of_hidden, decoder, head
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
         """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N).
@@ -141,69 +141,8 @@ class Mlp:
         return _BOUNDS[self.bound](_linear(head, x)), hidden
 
 
-@dataclass(frozen=True)
-class Lstm:
-    """Long short-term memory, then an `Mlp`; units as in `torch.nn.LSTM`."""
-
-    kind: ClassVar[str] = "lstm"
-    inputs: int
-    hidden: int = 64
-    layers: tuple[int, ...] = ()  # units of the hidden layers of the `Mlp`
-    activation: str = "tanh"  # of these layers, one of `ACTIVATIONS`
-    bound: str = "clip"  # one of `_BOUNDS`
-
-    def __post_init__(self) -> None:
-        _check_sizes(hidden=self.hidden)
-        object.__setattr__(self, "layers", self._decoder.layers)
-        _check_sizes(inputs=self.inputs)
-
-    @property
-    def _decoder(self) -> Mlp:
-        """The layers after the recurrent one."""
-        return Mlp(self.hidden, self.layers, self.activation, self.bound)
-
-    @property
-    def memory(self) -> int:
-        """Size of the hidden state: outputs and cells."""
-        return 2 * self.hidden
-
-    @property
-    def shapes(self) -> Shapes:
-        """Shapes of the weights, by name; rows of the gates: input, forget, candidate, output."""
-        gates = 4 * self.hidden
-        own = {"lstm.weight_ih": (gates, self.inputs), "lstm.weight_hh": (gates, self.hidden), "lstm.bias": (gates,)}
-        return {**own, **self._decoder.shapes}
-
-    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
-        """Return the layers for `forward`; candidates come last, the weights of gates are halved as in `Gru.prepared`.
-
-        The bias of both matrices is one column.
-        """
-        units = self.hidden
-        order = np.r_[0 : 2 * units, 3 * units : 4 * units, 2 * units : 3 * units]
-        half = np.repeat((0.5, 1.0), (3 * units, units))
-        both = np.hstack((weights["lstm.weight_ih"], weights["lstm.weight_hh"]))[order]
-        gates = _column(half[:, None] * both, half * weights["lstm.bias"][order], precision)
-        return gates, *self._decoder.prepared(weights, precision)
-
-    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N), as `Gru.forward`."""
-        gates, *decoder = layers
-        units = self.hidden
-        sums = _linear(gates, np.concatenate((x, hidden[:units])))
-        np.tanh(sums, sums)
-        sigmoids = sums[: 3 * units]
-        sigmoids *= 0.5
-        sigmoids += 0.5
-        cells = sigmoids[units : 2 * units] * hidden[units:]
-        cells += sigmoids[:units] * sums[3 * units :]
-        out = sigmoids[2 * units :] * np.tanh(cells)
-        action, _ = self._decoder.forward(tuple(decoder), out, hidden)
-        return action, np.concatenate((out, cells))
-
-
-Network = Gru | Lstm | Mlp
-NETWORKS: dict[str, type[Gru] | type[Lstm] | type[Mlp]] = {cls.kind: cls for cls in (Gru, Lstm, Mlp)}
+Network = Gru | Mlp
+NETWORKS: dict[str, type[Gru] | type[Mlp]] = {cls.kind: cls for cls in (Gru, Mlp)}
 """Kinds of networks by name."""
 
 

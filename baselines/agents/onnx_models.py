@@ -20,8 +20,6 @@ from auv_gym.task.preview import checked_preview
 from baselines.policy import Batched, Memory, Starts, renewed
 from baselines.tools.files import read_bytes
 
-SUFFIX = ".onnx"
-"""Suffix of the name of an ONNX file."""
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 """Allowed types of inputs."""
 NEXT = "next_"

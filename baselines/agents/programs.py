@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 import shlex
 import signal
 import subprocess
+import tempfile
 import threading
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,6 @@ from auv_gym.task.observation import SIZE, TERMS, Observation, encode_observatio
 from auv_gym.task.preview import checked_preview
 from baselines.agents.names import COMMAND
 from baselines.policy import Batched, Memory, Starts
-from baselines.tools.files import checked_plain
 
 PROTOCOL = 1
 """Version of the protocol."""
@@ -42,10 +41,6 @@ DECISION = 0.1
 LONGEST_WAIT = 3600.0  # [s] for an answer if the time limit of a decision is infinite
 FAREWELL = 0.5  # [s] that a program has to end by itself once its standard input is closed
 LAST_WORDS = 300  # bytes of its standard error that messages quote
-MARK = "AUV_GYM_PROGRAM_"
-"""Prefix of an environment variable by which a program and its child processes are found."""
-MOST_FILES = 1000
-"""Most files of a folder among the words of a command."""
 
 _EXAMPLE = Observation(*(0.0 for _ in Observation._fields))._replace(
     e_x=0.1, e_y=-0.1, psi_e=0.05, u_R=0.5, F_uR=35.0, cos_psi=1.0, F_u_max=400.0, F_r_max=200.0, dt=0.1
@@ -89,13 +84,9 @@ class ProgramPolicy(Batched):
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return actions and a memory without columns, since the program keeps its own; see `Batched`.
+        """Ask the program; it is informed of the start of an episode if `state` is None or `episode_start` is True.
 
-        The program is informed of the start of an episode if `state` is None or `episode_start`, shape (N,), is True.
-
-        Raises:
-            ProgramError: the program has ended, does not answer in time, or does not return N pairs of numbers.
-            ValueError: the observation has a wrong number of columns, or `state` is of another number of vehicles.
+        The memory has no columns, since the program has its own. Raises ProgramError if there is no usable answer.
         """
         del deterministic
         n, width = len(rows), SIZE + 2 * len(self.preview)
@@ -131,35 +122,29 @@ def _actions(answer: Mapping[str, Any], n: int) -> NDArray[np.float32]:
         pair = isinstance(row, list) and len(row) == 2
         if not pair or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in row):
             raise ProgramError(f"its action {i} of {n} is {_cut(json.dumps(row))}; it must be two numbers")
-    with np.errstate(over="ignore"):  # too large numbers become infinite, which `Batched` rejects
+    with guarded("its actions"), np.errstate(over="ignore"):  # too large floats become infinite: `Batched` rejects them
         return np.array(rows, dtype=np.float64).astype(np.float32)
 
 
 class _Program:
-    """A running program that answers questions; `end` kills it and its child processes."""
+    """A running program that answers questions; `end` kills it and its process group."""
 
     def __init__(self, command: str) -> None:
-        self.command, mark = command, f"{MARK}{secrets.token_hex(8)}"
+        self.command, pipe = command, subprocess.PIPE
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115, it is closed with the program
+        weakref.finalize(self, self._stderr.close)
         try:
             words = shlex.split(command)
             if not words:
                 raise ValueError("there is no command after cmd:")
-            pipe = subprocess.PIPE
             process = subprocess.Popen(
-                words,
-                bufsize=0,
-                stdin=pipe,
-                stdout=pipe,
-                stderr=pipe,
-                start_new_session=True,
-                env={**os.environ, mark: "1"},
+                words, bufsize=0, stdin=pipe, stdout=pipe, stderr=self._stderr, start_new_session=True
             )
         except OSError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error.strerror}: {error.filename}") from error
         except ValueError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error}") from error
-        self._process, self._stderr = process, _LastOutput(process.stderr)
-        self.end = weakref.finalize(self, _end, process, mark)
+        self._process, self.end = process, weakref.finalize(self, _end, process)
 
     @contextmanager
     def errors(self) -> Iterator[None]:
@@ -179,8 +164,7 @@ class _Program:
         exchange.start()
         exchange.join(min(seconds, LONGEST_WAIT))  # its child processes may keep the pipes open
         if exchange.is_alive():
-            self.end()
-            raise ProgramError(f"it has not answered for {seconds:.3g} s{self._stderr}")
+            raise ProgramError(f"it has not answered for {seconds:.3g} s{self._last_words()}")
         if len(line) > LONGEST_ANSWER:
             raise ProgramError(f"its answer is longer than {LONGEST_ANSWER} bytes")
         if not line.endswith(b"\n"):
@@ -192,27 +176,15 @@ class _Program:
         try:
             status = self._process.wait(FAREWELL)
         except subprocess.TimeoutExpired:
-            return f"it has closed its standard output{self._stderr}"
+            return f"it has closed its standard output{self._last_words()}"
         how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with status {status}"
-        return f"it has ended {how}{self._stderr}"
+        return f"it has ended {how}{self._last_words()}"
 
-
-class _LastOutput:
-    """The last bytes of a program's standard error, read in a thread so that the pipe never blocks the program."""
-
-    def __init__(self, stream: Any) -> None:
-        self._kept = b""
-        self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
-        self._thread.start()
-
-    def _read(self, stream: Any) -> None:
-        with stream:
-            while part := os.read(stream.fileno(), 4096):
-                self._kept = (self._kept + part)[-LAST_WORDS:]
-
-    def __str__(self) -> str:
-        self._thread.join(FAREWELL)
-        lines = self._kept.decode(errors="replace").strip().splitlines()
+    def _last_words(self) -> str:
+        """Return the last line of the program's standard error for a message."""
+        size = self._stderr.seek(0, os.SEEK_END)
+        self._stderr.seek(max(size - LAST_WORDS, 0))
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()
         return f"; the last line of its stderr: {lines[-1]}" if lines else ""
 
 
@@ -222,7 +194,7 @@ def _json_object(line: bytes) -> dict[str, Any]:
     if more:
         raise ProgramError(f"it answers with more than one line: {_cut(more.decode(errors='replace'))}")
     with guarded(f"it answers {_cut(first.decode(errors='replace'))}, which is not JSON; write other output to stderr"):
-        answer = checked_plain(json.loads(first))
+        answer = json.loads(first)
     if not isinstance(answer, dict):
         raise ProgramError(f"it answers {_cut(json.dumps(answer))}, which is not a JSON object")
     if isinstance(answer.get("error"), str):
@@ -246,8 +218,8 @@ def _exchange(process: subprocess.Popen[bytes], question: bytes, line: bytearray
             line += part
 
 
-def _end(process: subprocess.Popen[bytes], mark: str) -> None:
-    """Close a program's standard input, then kill it and its child processes if they still run after `FAREWELL`."""
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Close a program's standard input, then kill its process group if it still runs after `FAREWELL`."""
     with suppress(OSError, ValueError):
         if process.stdin is not None:
             process.stdin.close()
@@ -258,54 +230,12 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
             os.killpg(process.pid, signal.SIGKILL)
         else:
             process.kill()
-    for _ in range(_ROUNDS):
-        if not (left := list(_marked(mark))):
-            break
-        for pid in left:
-            with suppress(OSError):
-                os.kill(pid, signal.SIGKILL)
     process.wait()
     if process.stdout is not None:
         process.stdout.close()
 
 
-_ROUNDS = 100  # attempts to kill the child processes, which may start new ones meanwhile
-
-
-def _marked(mark: str) -> Iterator[int]:
-    """Yield the ids of processes with an environment variable, on systems that have /proc."""
-    for file in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):  # it has ended, or belongs to another user
-            if f"{mark}=".encode() in file.read_bytes():
-                yield int(file.parent.name)
-
-
 def files_of(words: Sequence[str]) -> list[Path]:
-    """Return the files that a command names: a word, the part of a word after its first "=", or the files of a folder.
-
-    The files of a folder include those of its subfolders, except hidden files and Python's caches.
-
-    Raises:
-        ValueError: a folder holds more than `MOST_FILES` files.
-    """
-    found: list[Path] = []
-    for path in dict.fromkeys(part for word in words for part in (word, word.partition("=")[2]) if part):
-        if os.path.isfile(path):  # noqa: PTH113, a word of any kind
-            found.append(Path(path))
-        elif os.path.isdir(path):  # noqa: PTH112
-            found += _inside(path)
-    return found
-
-
-def _inside(folder: str) -> list[Path]:
-    """Return the files of a folder."""
-    found: list[Path] = []
-    for where, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith((".", "__pycache__"))]
-        found += [file for name in names if not name.startswith(".") and (file := Path(where, name)).is_file()]
-        if len(found) > MOST_FILES:
-            raise ValueError(
-                f"the command names the folder {folder}, which holds more than {MOST_FILES} files, too many for a "
-                "fingerprint: name a file, or a smaller folder"
-            )
-    return sorted(found)
+    """Return the files that a command names: a word, or the part of a word after its first "="."""
+    paths = dict.fromkeys(path for word in words for path in (word, word.partition("=")[2]))
+    return [Path(path) for path in paths if os.path.isfile(path)]  # noqa: PTH113, a word of any kind

@@ -15,9 +15,9 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle, with_names
 from auv_gym.task.observation import SIZE, action_of, decode
-from auv_gym.task.policy import Forces, Law, Policy, corrected, preview_of, traceable
+from auv_gym.task.policy import Law, Policy, corrected, preview_of, traceable
 from auv_gym.task.preview import shared_preview
-from baselines.agents.features import STANDARD, Inputs, scaled_errors
+from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.networks import OUTPUTS, Network, Weights
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
 from baselines.scaling import shown_factors
@@ -30,18 +30,18 @@ _Symbols = Sequence[Symbol]
 @lru_cache(maxsize=64)
 def feature_kernel(
     inputs: Inputs,
-    forces: Forces | None,
+    law: Law | None,
     vehicle: Vehicle = PAPER_VEHICLE,
     units: Units = Units(),  # noqa: B008, it is frozen
 ) -> Kernel:
     """Return the kernel that computes the features from an observation and its preview, `ahead`.
 
-    Its results are `terms`, those of the observation in SI units; `errors`, see `scaled_errors`; `features` and
-    `integrals`, see `Inputs.update`; and `base`, the expert's action.
+    Its results are `terms`, those of the observation in SI units; `features` and `integrals`, see `Inputs.update`; and
+    `base`, the expert's action.
 
     Args:
         inputs: features of the network.
-        forces: of the expert, if it is a law. None: the expert's action `base` is an input of the kernel.
+        law: the expert, if it is a traceable law. None: the expert's action `base` is an input of the kernel.
         vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         units: in which the features are computed from an observation in SI units. By default nothing is scaled.
     """
@@ -54,14 +54,13 @@ def feature_kernel(
         if factors:
             o = [term * factor for term, factor in zip(o, factors, strict=True)]
             ahead = [distance * (1 / units.length) for distance in ahead]
-        if forces is not None:
-            base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
+        if law is not None:
+            base = [single(a) for a in action_of(law.forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
         features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, model)
-        errors = scaled_errors(o, SYMBOLS)
-        return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
+        return {"terms": o, "features": features, "integrals": sums, "base": base}
 
     rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": OUTPUTS, "integrals": inputs.memory}
-    rows = rows if forces is not None else rows | {"base": OUTPUTS}
+    rows = rows if law is not None else rows | {"base": OUTPUTS}
     return Kernel.traced(equation, rows, blocked=inputs.filters)
 
 
@@ -105,7 +104,6 @@ class ResidualPolicy(Batched):
         network: Network,
         weights: Weights,
         authority: tuple[float, float],
-        region: Sequence[float] | None = None,
         inputs: Inputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = ALL_SPEEDS,
@@ -118,14 +116,13 @@ class ResidualPolicy(Batched):
             network: kind and sizes.
             weights: of the network, checked by `networks.check_weights`.
             authority: largest correction of surge and yaw, as fractions of the limits.
-            region: of errors outside of which corrections fade, see `trust`. None: they do not fade.
             inputs: features of the network.
             precision: of the network, "float64" or "float32".
             speeds: see `Batched`.
             vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         """
         self.speeds = speeds
-        self.region, self.inputs = None if region is None else np.array(region), inputs
+        self.inputs = inputs
         self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
@@ -161,8 +158,6 @@ class ResidualPolicy(Batched):
             terms = arrays["terms"]
             self._law.check(terms.ravel().tolist() if n == 1 else terms)
         correction, hidden = self._forward(arrays["features"].astype(self.precision, copy=False), hidden.T)
-        if self.region is not None:
-            correction = correction * trust(arrays["errors"], self.region)
         arrays["correction"][:], arrays["authority"][:] = correction, self.authority[:, None]
         buffers.compute_command(0, 1)
         memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
@@ -192,17 +187,5 @@ class ResidualPolicy(Batched):
     def _buffers_for(self, n: int) -> _Buffers:
         """Return the buffers for n vehicles; those of the last call are used again if it had the same number."""
         if self._buffers is None or self._buffers[0] != n:
-            forces = None if self._law is None else self._law.forces
-            self._buffers = n, _Buffers(n, feature_kernel(self.inputs, forces, self._vehicle))
+            self._buffers = n, _Buffers(n, feature_kernel(self.inputs, self._law, self._vehicle))
         return self._buffers[1]
-
-
-def trust(errors: Array, region: Array) -> Array:
-    """Return the factor on a correction, shape (N,): 1 inside a region, decreasing to 0 at twice its size.
-
-    Args:
-        errors: the first features, `features.ERROR_FEATURES` rows of shape (N,).
-        region: largest magnitude of each of them in training, shape (ERROR_FEATURES,).
-    """
-    farthest = (np.abs(errors) / region[:, None]).max(axis=0)
-    return np.asarray(np.clip(2.0 - farthest, 0.0, 1.0))

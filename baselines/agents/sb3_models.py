@@ -77,8 +77,8 @@ def _swapped(memory: Memory | None) -> Memory | None:
 def statistics_file(file: Path) -> Path | None:
     """Return the file with the normalisation statistics of a model, None if there is none beside it."""
     beside = (file.with_name(STATISTICS), file.with_suffix("") / STATISTICS)
-    found = [path for path in beside if path.is_file()] or sorted(file.parent.glob(f"*/{STATISTICS}"))
-    return found[0] if len(found) == 1 or (found and found[0] in beside) else None
+    files = [path for path in beside if path.is_file()] or sorted(file.parent.glob(f"*/{STATISTICS}"))
+    return files[0] if len(files) == 1 or (files and files[0] in beside) else None
 
 
 def load_model(file: Path, expert: Policy, authority: float | tuple[float, float] = _AUTHORITY) -> Policy:
@@ -97,7 +97,8 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
     try:
         loader = getattr(importlib.import_module(package), algorithm)
     except ImportError as error:
-        raise ValueError(f"{file} needs {package}: {install('train')}") from error
+        needed = install("train") if package == "stable_baselines3" else "install the package sb3-contrib"
+        raise ValueError(f"{file} needs {package}: {needed}") from error
     try:
         model = loader.load(file, device="cpu")
         shapes = tuple(model.observation_space.shape), tuple(model.action_space.shape)

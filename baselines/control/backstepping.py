@@ -7,7 +7,6 @@ the gains contradict each other. So no form of the law is claimed to be globally
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -18,13 +17,10 @@ from auv_gym.physics.dynamics import rates
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
-from auv_gym.scenarios.presets import SPEED_RANGES
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
+from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Law
-from baselines.gains.loading import GAINS_FOLDER, adapted_gains
+from baselines.gains.loading import recorded_gains
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
-
-SETS = GAINS_FOLDER / "backstepping-sets.json"  # named sets of gains
 
 
 class StabilityWarning(UserWarning):
@@ -56,17 +52,13 @@ class Gains:
             check_number("gain reference_speed", self.reference_speed, 1e-6, 1e6)
 
 
-def _gain_sets() -> dict[str, Gains]:
-    record = json.loads(SETS.read_text(encoding="utf-8"))
-    return {name: Gains(**s["gains"], max_speed=s["max_speed"] or math.inf) for name, s in record.items()}
-
-
-GAINS = _gain_sets()
-"""Gain sets by name; the file `SETS` has the numbers and the origin of each set."""
+GAINS = {
+    name: Gains(**record["gains"], max_speed=record["max_speed"] or math.inf)
+    for name, record in recorded_gains()["sets"].items()
+}
+"""Gain sets by name; `gains.loading.GAINS_FILE` has the numbers and the origin of each set."""
 LAW_GAINS = ("k", "k1", "cu", "ku", "c", "kc", "cr")
 """Names of the gains of the law as printed."""
-SCALED_GAINS = (*LAW_GAINS, "reference_speed")
-"""Names of the gains of the speed-normalised form."""
 UNDAMPED_GAINS = ("k", "cu", "c", "cr", "reference_speed")
 """Names of the gains of the speed-normalised form without nonlinear damping, for laws that estimate disturbances."""
 
@@ -145,6 +137,7 @@ def bounded_error(o: Sequence[Number], horizon: float, ns: Namespace = FLOATS) -
     return shrink * e_x, shrink * e_y, *rest
 
 
+@dataclass(frozen=True)
 class Backstepping(Law):
     """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
 
@@ -158,61 +151,42 @@ class Backstepping(Law):
         ValueError: unknown gains or vehicle, or a horizon that is not positive.
     """
 
-    def __init__(
-        self,
-        gains: Gains | tuple[Gains, Gains] | str = "auto",
-        vehicle: Vehicle | VehicleModel | str | dict[str, Any] = PAPER_VEHICLE,
-        horizon: float | None = None,
-    ) -> None:
+    gains: Any = "auto"
+    vehicle: Any = PAPER_VEHICLE
+    horizon: float | None = None
+
+    def __post_init__(self) -> None:
+        gains = self.gains
         if isinstance(gains, str):
             if gains not in GAINS and gains != "auto":
                 raise ValueError(f"unknown gains {gains!r}; allowed are a Gains, auto, {', '.join(GAINS)}")
             gains = (GAINS["paper"], GAINS["cruise"]) if gains == "auto" else GAINS[gains]
-        self._slow, self._fast = (gains, gains) if isinstance(gains, Gains) else gains
-        self.vehicle = as_vehicle(vehicle)
-        if horizon is not None:
-            check_number("horizon", horizon, 1e-3, 1e6)
-        self.horizon = horizon
-        self._max_speed = self._fast.max_speed
-        self._warned = False
+        object.__setattr__(self, "gains", (gains, gains) if isinstance(gains, Gains) else tuple(gains))
+        object.__setattr__(self, "vehicle", as_vehicle(self.vehicle))
+        if self.horizon is not None:
+            check_number("horizon", self.horizon, 1e-3, 1e6)
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
         """Return F_u [N], F_r [N m] for an `Observation` in SI units, or its terms in that order."""
         if self.horizon is not None:
             o = bounded_error(o, self.horizon, ns)
-        if self._slow is self._fast:
-            return tracking_forces(o, self.vehicle, self._fast, ns)
-        fast = is_fast(o[U_R], o[V_R])
-        if isinstance(fast, bool):
-            return tracking_forces(o, self.vehicle, self._fast if fast else self._slow, ns)
-        slow_forces, fast_forces = (tracking_forces(o, self.vehicle, g, ns) for g in (self._slow, self._fast))
-        return ns.where(fast, fast_forces[0], slow_forces[0]), ns.where(fast, fast_forces[1], slow_forces[1])
+        slow, fast = self.gains
+        if slow is fast:
+            return tracking_forces(o, self.vehicle, fast, ns)
+        is_cruise = is_fast(o[U_R], o[V_R])
+        if isinstance(is_cruise, bool):
+            return tracking_forces(o, self.vehicle, fast if is_cruise else slow, ns)
+        slow_forces, fast_forces = (tracking_forces(o, self.vehicle, gains, ns) for gains in (slow, fast))
+        return ns.where(is_cruise, fast_forces[0], slow_forces[0]), ns.where(is_cruise, fast_forces[1], slow_forces[1])
 
     def check(self, terms: Any) -> None:
         """Warn once if the reference is too fast for the gains."""
         u_R = terms[U_R] if isinstance(terms, list) else float(terms[U_R].max(initial=0.0))
-        if u_R > self._max_speed and not self._warned:
-            self._warned = True
+        if u_R > (most := self.gains[1].max_speed) and "warned" not in vars(self):
+            vars(self)["warned"] = True
             warnings.warn(
-                f"these gains are stable up to {self._max_speed:g} m/s, but the reference speed is {u_R:.3g} m/s: "
+                f"these gains are stable up to {most:g} m/s, but the reference speed is {u_R:.3g} m/s: "
                 "expect growing oscillations; the gains 'auto', 'robust' and 'normalised' are stable at higher speeds",
                 StabilityWarning,
                 stacklevel=3,
             )
-
-
-def make_tuned(
-    name: str, names: Sequence[str], vehicle: Vehicle | VehicleModel | str | dict[str, Any] = PAPER_VEHICLE
-) -> Backstepping:
-    """Return the law with tuned gains, one set per speed range, selected by the speed of the reference.
-
-    Args:
-        name: the files of its gains begin with it.
-        names: of its gains.
-        vehicle: nominal model of the law in the paper's units; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or a file is not valid, see `adapted_gains`.
-    """
-    slow, cruise = (Gains(**adapted_gains(name, speed_range, names, vehicle)) for speed_range in SPEED_RANGES)
-    return Backstepping((slow, cruise), vehicle)

@@ -20,17 +20,7 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
-from baselines.estimation.faults import after_delay
-from baselines.estimation.kalman import (
-    FAULT_FILTER_ROWS,
-    FAULT_TUNING,
-    FILTER_TUNING,
-    VEHICLE_ROWS,
-    ExtendedKalmanFilter,
-    parts,
-    repeated,
-    tuning_of,
-)
+from baselines.estimation.kalman import FILTER_TUNING, VEHICLE_ROWS, ExtendedKalmanFilter, repeated, tuning_of
 from baselines.estimation.sea_model import STATE_SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import PlannedReference, Sea, plan_in_water, reference_motion, water_errors
 from baselines.policy import Memory, is_fast, squared_speed
@@ -42,8 +32,6 @@ EKF_LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the gains of the law
 EKF_GAINS = (*EKF_LAW_GAINS, *FILTER_TUNING)
 """Names of the gains: those of the law, see `backstepping.undamped`; `lead` [1/s], the desired rate at which the
 actuators' force approaches the commanded force; and the filter's `Tuning`."""
-EKF_ADVERSE_GAINS = (*EKF_LAW_GAINS, *FAULT_TUNING)
-"""Names of the gains with a filter that estimates faults: its `FaultTuning` replaces the `Tuning`."""
 
 
 class EkfLaw:
@@ -54,11 +42,11 @@ class EkfLaw:
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; the names of its gains are `EKF_GAINS` or `EKF_ADVERSE_GAINS`."""
+        """Make the controller; the names of its gains are `EKF_GAINS`."""
         self.vehicle, self.gains = vehicle, undamped(gains)
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         self._known = np.array((*vehicle.all_coefficients, *(gains[name] for name in EKF_LAW_GAINS)))[:, None]
-        self._kernel = law_kernel(self.filter.faults, len(vehicle.all_coefficients))
+        self._kernel = law_kernel(len(vehicle.all_coefficients))
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
@@ -75,11 +63,10 @@ class EkfLaw:
 
 
 @cache
-def law_kernel(faults: bool = False, size: int = VEHICLE_ROWS) -> Kernel:
+def law_kernel(size: int = VEHICLE_ROWS) -> Kernel:
     """Return the kernel of the law; its inputs are observation, vehicle and gains, state of the filter, and plan.
 
     Args:
-        faults: whether the filter estimates faults.
         size: number of rows of the vehicle, see `Vehicle.all_coefficients`. Cross terms count in forces and
             predictions; the sideslip of the plan in water is that without them.
     """
@@ -87,65 +74,22 @@ def law_kernel(faults: bool = False, size: int = VEHICLE_ROWS) -> Kernel:
     def equation(
         o: Sequence[Symbol], known: Sequence[Symbol], z: Sequence[Symbol], plan: Sequence[Symbol]
     ) -> Mapping[str, Sequence[Any]]:
-        coefficients = with_names(known[:size])
-        *gains, lead = known[size:]
-        law, memory = undamped_symbols(gains), PlannedReference(*plan)
-        after, force = _law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
-        return {"plan": after, "force": force}
+        c, (*gains, lead) = with_names(known[:size]), known[size:]
+        named = dict(zip(UNDAMPED_GAINS, gains, strict=True))
+        law = cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))  # as `undamped`
+        terms, state = Observation(*o), Estimate(*z)
+        X, N, sea = predicted_disturbances(state, terms.dt, SYMBOLS)
+        motion = reference_motion(terms, c, SYMBOLS)
+        after, R = plan_in_water(PlannedReference(*plan), motion, sea, terms.dt, c, SYMBOLS)
+        e_x, e_y = to_body(state.x_e, state.y_e, SYMBOLS.cos(state.psi), SYMBOLS.sin(state.psi))
+        errors = water_errors((e_x, e_y, state.psi, state.u, state.v, state.r), R, SYMBOLS)
+        F_u, F_r = _blended_forces(errors, c, law, SYMBOLS)
+        F_u, F_r = F_u - X, F_r - N
+        ahead = lead * state.lag
+        return {"plan": after, "force": (F_u + ahead * (F_u - state.F_u), F_r + ahead * (F_r - state.F_r))}
 
-    rows = {
-        "o": len(Observation._fields),
-        "known": size + len(EKF_LAW_GAINS),
-        "z": FAULT_FILTER_ROWS if faults else STATE_SIZE,
-    }
+    rows = {"o": len(Observation._fields), "known": size + len(EKF_LAW_GAINS), "z": STATE_SIZE}
     return Kernel.traced(equation, {**rows, "plan": len(PlannedReference._fields)}, structural=True, blocked=True)
-
-
-def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
-    """Return the result of `backstepping.undamped` for the gains `UNDAMPED_GAINS` as symbols."""
-    named = dict(zip(UNDAMPED_GAINS, gains, strict=True))
-    return cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))
-
-
-def _law_forces(
-    o: Observation,
-    state: Sequence[Number],
-    plan: PlannedReference,
-    coefficients: Coefficients,
-    gains: Gains,
-    lead: Number,
-    ns: Namespace,
-) -> tuple[PlannedReference, tuple[Number, Number]]:
-    """Return the memory of the planner, and F_u [N], F_r [N m].
-
-    Args:
-        o: the observation in SI units.
-        state: result of the filter for it, see `ExtendedKalmanFilter.update`.
-        plan: memory of the planner.
-        coefficients: of the nominal vehicle.
-        gains: of the law.
-        lead: [1/s], see `EKF_GAINS`.
-        ns: the namespace of the numbers.
-    """
-    z, faults, actions = parts(state)
-    X, N, sea = predicted_disturbances(z, o.dt, ns)
-    motion = reference_motion(o, coefficients, ns)
-    plan, R = plan_in_water(plan, motion, sea, o.dt, coefficients, ns)
-    if actions:
-        z = after_delay(z, faults, actions, (o.F_u_max, o.F_r_max), o.dt, coefficients, ns)
-    late = faults.delay * o.dt
-    x_e, y_e = (
-        z.x_e - late * (motion.v_x + 0.5 * late * motion.a_x),
-        z.y_e - late * (motion.v_y + 0.5 * late * motion.a_y),
-    )
-    R = R._replace(psi=R.psi + late * R.r_R)
-    e_x, e_y = to_body(x_e, y_e, ns.cos(z.psi), ns.sin(z.psi))
-    errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R, ns)
-    F_u, F_r = _blended_forces(errors, coefficients, gains, ns)
-    F_u, F_r = F_u - X, F_r - N
-    ahead = lead * z.lag
-    F_u, F_r = F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r)
-    return plan, (F_u / faults.surge_share, F_r / faults.yaw_share)
 
 
 def _blended_forces(

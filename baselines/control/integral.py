@@ -21,22 +21,19 @@ from auv_gym.task.observation import Observation
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.policy import Memory, reference_speed
 
-INTEGRAL_GAINS = ("rate", "horizon", "surge")
+_INTEGRAL = ("rate", "horizon", "surge")
 """Rate of the integral [1/s]; bound of error and integral as a travel time of the reference [s]; share of surge [1]."""
-PRINTED_GAINS = (*LAW_GAINS, *INTEGRAL_GAINS)
-"""Names of the gains of the law as printed."""
-NORMALISED_GAINS = (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS)
-"""Names of the gains of the speed-normalised law."""
+INTEGRAL_GAINS = (*LAW_GAINS, "reference_speed", *_INTEGRAL)
+"""Names of the gains: those of the speed-normalised law, and those of the integral."""
 
 
 class IntegralLaw:
     """The tracking law with integral action, a `Controller`; its memory is xi, shape (N, 2) [m]."""
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the law; a gain `reference_speed` selects the speed-normalised form."""
-        law = {name: value for name, value in gains.items() if name not in INTEGRAL_GAINS}
-        self.gains = Gains(**law)
-        self.rate, self.horizon, self.surge = (gains[name] for name in INTEGRAL_GAINS)
+        """Make the law; the names of its gains are `INTEGRAL_GAINS`."""
+        self.gains = Gains(**{name: value for name, value in gains.items() if name not in _INTEGRAL})
+        self.rate, self.horizon, self.surge = (gains[name] for name in _INTEGRAL)
         self.vehicle = vehicle
 
     def start(self, n: int) -> Memory:

@@ -1,24 +1,17 @@
-"""Error dynamics linearised about steady motion, for regulators and local stability."""
+"""Error dynamics linearised about steady motion, for regulators."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from auv_gym.physics.dynamics import Force, rates
+from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.paths import Circle, Line
-from auv_gym.planning.planner import plan
-
-Feedback = Callable[[Sequence[Array]], Force]
-"""Returns F_u [N], F_r [N m] for the first eleven terms of an observation, rows of shape (N,)."""
 
 _STEP = 1e-6
-"""Half width of the central differences of a feedback, in SI units; their error is about 1e-10."""
+"""Half width of the central differences, in SI units; their error is about 1e-10."""
 
 
 def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tuple[Array, Array]:
@@ -63,36 +56,3 @@ def _velocity_slopes(vehicle: Vehicle, velocities: Sequence[float]) -> Array:
         return np.array(rates(0.0 * u, u, v, r, (0.0, 0.0, 0.0), vehicle.acting, ARRAYS)[2:])
 
     return (changes(_STEP * np.eye(3)) - changes(-_STEP * np.eye(3))) / (2 * _STEP)
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Closed loop about steady motion: e' = A e + B f with errors e in the body frame, and the feedback f = K e."""
-
-    A: Array  # shape (6, 6)
-    B: Array  # shape (6, 2)
-    K: Array  # shape (2, 6)
-
-    @property
-    def eigenvalues(self) -> NDArray[np.complex128]:
-        """The six eigenvalues [1/s] of the closed loop in continuous time, the least stable first."""
-        values = np.linalg.eigvals(self.A + self.B @ self.K).astype(np.complex128)
-        return values[np.lexsort((values.imag, -values.real))]
-
-
-def linearise(vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float) -> Linearisation:
-    """Return the closed loop linearised about steady motion.
-
-    Args:
-        vehicle: the vehicle, for which the motion is planned as well.
-        feedback: the forces.
-        speed: path speed v_p [m/s], positive.
-        turn_rate: omega [rad/s], counter-clockwise; 0 for a straight line.
-    """
-    path = Circle(speed, turn_rate) if turn_rate else Line(speed)
-    u_R, v_R, r_R, F_uR, F_rR = plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist()
-    A, B = error_dynamics(vehicle, u_R, v_R, r_R)
-    reference = [np.full(len(A), value) for value in (u_R, v_R, r_R, F_uR, F_rR)]
-    e = _STEP * np.eye(len(A))
-    above, below = (np.stack(feedback((*errors, *reference))) for errors in (e, -e))
-    return Linearisation(A, B, K=(above - below) / (2 * _STEP))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.task.observation import Observation
@@ -14,6 +15,7 @@ F_UR = Observation._fields.index("F_uR")  # index of the reference's surge force
 F_RR = Observation._fields.index("F_rR")  # index of the reference's yaw torque
 
 
+@dataclass(frozen=True)
 class OpenLoop(Law):
     """The forces of the reference, F_uR and F_rR (16), without feedback."""
 
@@ -22,6 +24,7 @@ class OpenLoop(Law):
         return o[F_UR], o[F_RR]
 
 
+@dataclass(frozen=True)
 class Zero(Law):
     """Zero forces."""
 

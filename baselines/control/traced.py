@@ -11,7 +11,6 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
@@ -68,40 +67,3 @@ def _law_kernel(law: TracedLaw) -> Kernel:
 
     rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(law.gains._fields)}
     return Kernel.traced(equation, {**rows, "memory": len(law.memory._fields)}, structural=True, blocked=True)
-
-
-def predicted_velocities(
-    o: Observation,
-    last: Sequence[Number],
-    accelerations: Sequence[Number],
-    vehicle: Coefficients,
-    ns: Namespace,
-) -> tuple[Number, ...]:
-    """Return u, v [m/s], r [rad/s] now, predicted from the last observation by the nominal model in still water.
-
-    Args:
-        o: the observation in SI units; it contains the last command.
-        last: u, v, r at the last observation.
-        accelerations: in surge, sway and yaw due to unmodelled loads [m/s^2], [rad/s^2].
-        vehicle: the nominal one.
-        ns: the namespace of the numbers.
-    """
-    c, (X, Y, N) = vehicle, accelerations
-    load = (o.a_u * o.F_u_max + c.m11 * X, c.m22 * Y, o.a_r * o.F_r_max + c.m33 * N)
-    return rk4_step((0.0, 0.0, 0.0, *last), load, c, o.dt, ns=ns)[3:]
-
-
-def effective_periods(dt: Number, vehicle: Coefficients, ns: Namespace) -> tuple[Number, Number, Number]:
-    """Return the velocity change in a period per unit of constant acceleration, in surge, sway and yaw [s].
-
-    It is less than dt because of the drag.
-
-    Args:
-        dt: control period [s].
-        vehicle: the nominal one; only its linear drag is used.
-        ns: the namespace of the numbers.
-    """
-    c = vehicle
-    rates = c.d11 / c.m11, c.d22 / c.m22, c.d33 / c.m33
-    surge, sway, yaw = ((1 - ns.exp(-rate * dt)) / rate for rate in rates)
-    return surge, sway, yaw

@@ -163,8 +163,8 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     z, P, fits = measured_update(z, P, innovation, noise, no_fix)
     fit = SYMBOLS.where(first, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
-    kept = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
-    return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], kept)
+    later = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
+    return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], later)
 
 
 def split(z: Sequence[Any]) -> tuple[Estimate, Faults]:

@@ -17,7 +17,6 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.codegen.matrices import symmetric
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
@@ -86,7 +85,7 @@ class ExtendedKalmanFilter:
     """Two filters for N vehicles: one with the process noise of rough water, one with that of calm water.
 
     Their estimates are averaged with their likelihoods as weights. The memory is two arrays, one for each filter, with
-    the rows of a `filter_equations.Belief`, shape (N, rows); see `beliefs_of`.
+    the rows of a `filter_equations.Belief`, shape (N, rows).
     """
 
     def __init__(self, vehicle: Vehicle, tuning: Tuning) -> None:
@@ -170,16 +169,6 @@ def parts(z: Sequence[Any]) -> tuple[Estimate, Faults, list[tuple[Any, Any]]]:
     estimate, faults = split(z[: STATE_SIZE + FAULTS])
     actions = z[STATE_SIZE + FAULTS :]
     return estimate, faults, list(zip(actions[::2], actions[1::2], strict=True))
-
-
-def beliefs_of(memory: Memory) -> tuple[Belief, ...]:
-    """Return the memory of each filter by parts: count (N,), state (22, N), covariance (N, 22, 22) and other rows."""
-    beliefs = []
-    for rows in memory:
-        belief = Belief.of(rows.T, rows.shape[1] != sum(Belief.sizes()))
-        covariance = np.array(symmetric(list(belief.covariance))).transpose(2, 0, 1)
-        beliefs.append(belief._replace(count=belief.count[0], covariance=covariance))
-    return tuple(beliefs)
 
 
 def repeated(column: Array, n: int) -> Array:

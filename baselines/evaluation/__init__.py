@@ -1,1 +1,1 @@
-"""Evaluation of policies on paired episodes: metrics, scores, report, frozen suites and submissions."""
+"""Evaluation of policies on paired episodes: metrics, scores, report, frozen suites and files of results."""

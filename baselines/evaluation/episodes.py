@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, preview_of
+from baselines.evaluation.cells import drawn
+from baselines.evaluation.rollout import beginning, play
+from baselines.policies import make_policy
+from baselines.policy import Privileged
 
 
 @dataclass(frozen=True)
@@ -75,58 +80,40 @@ def run_episodes(
         ValueError: policy, scenario or number of episodes is invalid.
         PolicyError: the policy gives no usable action, see `baselines.evaluation.rollout`.
     """
-    from baselines.evaluation.rollout import beginning, play
-    from baselines.evaluation.runner import drawn
-    from baselines.policies import make_policy
-    from baselines.policy import Privileged
-
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 1:
         raise ValueError(f"episodes is {episodes!r}; it must be an integer of at least 1")
-    given = as_scenario(scenario)
-    made: Any = make_policy(policy, given.known) if isinstance(policy, str) else policy
-    cell = drawn(given, episodes, seed)
+    scenario = as_scenario(scenario)
+    made: Any = make_policy(policy, scenario.known) if isinstance(policy, str) else policy
+    cell = drawn(scenario, episodes, seed)
     if isinstance(made, Privileged):
-        made.prepare(given, cell.episodes)
-    env, first = beginning([(given, cell.episodes)], preview_of(made))
-    positions, moments, observations = [_positions(env)], [], [first]
-    errors = [np.hypot(*(positions[0][:, :2] - positions[0][:, 2:]).T)]
-    for moment in play(made, (env, first), given.steps):
+        made.prepare(scenario, cell.episodes)
+    env, observation = beginning([(scenario, cell.episodes)], preview_of(made))
+    positions, observations, steps = [_positions(env)], [observation], []
+    for step in play(made, (env, observation), scenario.steps):
         positions.append(_positions(env))
-        moments.append(moment)
-        observations.append(moment.following)
-        errors.append(moment.error)
-    running = np.array([m.running for m in moments])
-    tables = [np.array(rows) for rows in (positions, observations, errors)]
-    return [_record(given, seed + i, i, int(running[:, i].sum()), moments, *tables) for i in range(episodes)]
+        observations.append(step.following)
+        steps.append(step)
+    places, seen = np.array(positions), np.array(observations)
+    errors = np.vstack((np.hypot(*(places[0, :, :2] - places[0, :, 2:]).T), [step.error for step in steps]))
+    lengths = np.sum([step.running for step in steps], axis=0).tolist()
+    return [
+        EpisodeRecord(
+            scenario=scenario.name,
+            seed=seed + i,
+            times=np.arange(n + 1, dtype=np.float64) * scenario.control_dt,
+            positions=places[: n + 1, i, :2],
+            references=places[: n + 1, i, 2:],
+            observations=seen[: n + 1, i],
+            actions=np.clip([step.command[i] for step in steps[:n]], -1.0, 1.0).astype(np.float32),
+            rewards=np.array([step.reward[i] for step in steps[:n]]),
+            errors=errors[: n + 1, i],
+            saturated=np.array([False, *(bool(step.saturated[i]) for step in steps[:n])]),
+            failed=bool(steps[n - 1].failed[i]),
+        )
+        for i, n in enumerate(lengths)
+    ]
 
 
-def _positions(env: Any) -> Array:
+def _positions(env: UnderactuatedAUVTrackVectorEnv) -> Array:
     """Return x, y [m] of the vehicles and of their references, shape (N, 4)."""
-    return np.concatenate((env.position, np.transpose(env.reference[:2])), axis=1)
-
-
-def _record(
-    scenario: Scenario,
-    seed: int,
-    i: int,
-    steps: int,
-    moments: list[Any],
-    positions: Array,
-    observations: Array,
-    errors: Array,
-) -> EpisodeRecord:
-    """Return the record of vehicle i, whose episode has `steps` steps."""
-    own = moments[:steps]
-    return EpisodeRecord(
-        scenario=scenario.name,
-        seed=seed,
-        times=np.arange(steps + 1, dtype=np.float64) * scenario.control_dt,
-        positions=positions[: steps + 1, i, :2],
-        references=positions[: steps + 1, i, 2:],
-        observations=observations[: steps + 1, i],
-        actions=np.clip([m.command[i] for m in own], -1.0, 1.0).astype(np.float32),
-        rewards=np.array([m.reward[i] for m in own]),
-        errors=errors[: steps + 1, i],
-        saturated=np.array([False, *(bool(m.saturated[i]) for m in own)]),
-        failed=bool(own[-1].failed[i]),
-    )
+    return np.hstack((env.pose[:, :2], np.transpose(env.reference[:2])))

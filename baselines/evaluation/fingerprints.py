@@ -1,230 +1,197 @@
-"""Fingerprints: hashes of the code and data of a policy and of the simulator, which show if results are outdated."""
+"""Fingerprints: what can change the numbers of a policy or of the simulator, as hashes that show outdated results.
+
+Results depend on compiled equations, on data, and on code that runs as Python. So a fingerprint has three parts:
+
+- the C sources of the kernels that are used, which do not change if the code is only reorganised;
+- the data: weights, gains and options, or the file of a user's policy;
+- the text of the packages that run as Python, without docstrings, comments, blank lines and imports.
+"""
 
 from __future__ import annotations
 
-import ast
 import hashlib
-import importlib.util
-import inspect
 import json
+import re
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache, partial
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import auv_gym
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel, recorded_digests
+from auv_gym.planning import kernels as planning
+from auv_gym.scenarios import exogenous
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import SIZE
+from auv_gym.task.policy import Law, Policy, traceable
 from baselines.agents.agent import AGENT_FILE, WEIGHTS
-from baselines.agents.names import COMMAND, FADING, agent_folder, checked_name, guarded_name
-from baselines.agents.onnx_models import SUFFIX
+from baselines.agents.names import COMMAND, PolicyName
 from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
 from baselines.control import POLICIES
-from baselines.control.open_loop import NO_EXPERT
-from baselines.gains.loading import EXPONENTS
-from baselines.gains.loading import GAINS_FOLDER as GAINS
+from baselines.control.open_loop import NO_EXPERT, OpenLoop
+from baselines.control.traced import TracedController
+from baselines.evaluation.cells import drawn
+from baselines.evaluation.rollout import rollout
+from baselines.gains.loading import numbers_of
+from baselines.policies import make_policy
+from baselines.policy import BySpeed, Remembering
+from baselines.scaling import ScaledPolicy
 
-POLICY_PACKAGES = (
-    "baselines.agents",
-    "baselines.control",
-    "baselines.estimation",
-    "baselines.gains",
-    "baselines.policy",
-)
-"""Packages and modules with the code of policies; the code that tunes, trains and evaluates them does not count."""
-_AGENT_CODE = "baselines.agents.residual_policy"  # the module that runs trained agents
-_GUARD_CODE = "baselines.agents.guard"  # the module of guards
-_CHECK_CODE = "baselines.agents.checked"  # the module of the check of measurements
+BASELINES = Path(__file__).parents[1]  # folder of the package
+POLICY_CODE = ("agents", "control", "estimation")
+"""Packages of `baselines` with policies that run partly as Python."""
+MEASURES = ("evaluation/rollout.py", "evaluation/metrics.py")
+"""Modules of `baselines` that run the episodes and compute the metrics."""
+_STEPS = 4  # control steps after which a policy has used all of its kernels
 _GUARD_LAW = "backstepping"  # the default fallback of a guard, whose gains its thresholds use
-AGENT_KEYS = ("format", "network", "inputs", "features", "observation", "expert", "authority")
-"""Keys of agent.json that affect an agent's actions; with gated corrections `region` affects them too."""
-LARGEST_POLICY_FILE = 2**28  # [bytes] largest file that is read
+AGENT_KEYS = ("network", "inputs", "features", "observation", "expert", "authority")
+"""Keys of agent.json that affect an agent's actions."""
 
 
-def fingerprint(name: str) -> str:
-    """Return the SHA-256 of everything that determines a policy's actions; "" if there is no such policy.
+def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
+    """Return the fingerprint of everything that determines a policy's actions; "" if there is no such policy.
 
-    The hash covers:
-
-    - FILE.py:FACTORY, FILE.zip and FILE.onnx: the file, without the modules that it imports;
-    - a program: the words of its command and the files in them, see `files_of`;
-    - an agent: its weights, `AGENT_KEYS` of its description, its expert and the code that runs it;
-    - a policy with checked measurements: its fingerprint, and the code of the check;
-    - a policy with a guard: the fingerprints of both policies, and the code of the guard;
-    - a controller: its options, its gains and the code of its modules.
-
-    Docstrings, comments and formatting of the code do not count.
-
-    Raises:
-        ValueError: a file is larger than `LARGEST_POLICY_FILE`, or a folder has too many files.
+    Args:
+        policy: name or path of the policy. For FILE.py:FACTORY, FILE.zip, FILE.onnx and programs the data are the
+            file, or the words of the command and the files that these name; modules that they import do not
+            count.
+        scenarios: the scenarios in which it runs. Its equations can depend on their vehicles. Default: the paper's.
     """
-    if (inner := checked_name(name)) is not None:
-        own = fingerprint(inner)
-        return _hash([own, *(module.digest for module in _imported(_CHECK_CODE))]) if own else ""
-    if (parts := guarded_name(name)) is not None:
-        both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
-        return _hash([*both, *(module.digest for module in _imported(_GUARD_CODE))]) if all(both) else ""
-    bare = name.removesuffix(FADING)
+    name = PolicyName.of(policy)
+    policies = [PolicyName(name.base)]
+    if name.fallback is not None:
+        policies.append(PolicyName.of(name.fallback or _GUARD_LAW))
+    parts = [_data(part) for part in policies]
+    if not all(parts):
+        return ""
+    data = _hash(" ".join(_hash(entry) for part in parts for entry in part))
+    if any(part.kind not in ("controller", "agent") for part in policies):
+        return f".{data[:20]}."
+    results = [_used(policy, data, scenario) for scenario in scenarios or [PRESETS["cruise-storm"]]]
+    kernels = sorted({digest for digests, _ in results for digest in digests})
+    code = "" if all(compiled for _, compiled in results) else code_fingerprint(*POLICY_CODE)
+    return f"{_hash(' '.join(kernels))[:20]}.{data[:20]}.{code}"
+
+
+def simulator_fingerprint(scenarios: Iterable[Scenario]) -> str:
+    """Return the fingerprint of the simulation of some scenarios and of the metrics."""
+    parts = {scenario.parts: scenario for scenario in scenarios}
+    kernels = {digest for scenario in parts.values() for digest in _simulation(scenario)}
+    sources = " ".join((*sorted(kernels), planning.planning_digest(), exogenous.digest()))
+    return f"{_hash(sources)[:20]}.{code_fingerprint(*MEASURES)}"
+
+
+def changed_parts(before: str, now: str) -> list[str]:
+    """Return the parts of a policy's fingerprint that have changed: "equations", "data" and "code"."""
+    if len(parts := before.split(".")) != 3 or not now:
+        return ["data"]
+    return [name for name, a, b in zip(("equations", "data", "code"), parts, now.split("."), strict=True) if a != b]
+
+
+def _data(name: PolicyName) -> list[str | bytes]:
+    """Return the data of a policy without its suffixes; empty if there is no such policy."""
+    base, kind = name.base, name.kind
     try:
-        if name.startswith(COMMAND):
-            words = shlex.split(name.removeprefix(COMMAND))
-            return _hash([*words, *(part for file in files_of(words) for part in (str(file), _bytes(file)))])
-        if bare.endswith(SUFFIX):
-            return _hash([_bytes(Path(bare))])
-        if ".py:" in bare:
-            return _hash([_bytes(Path(bare.rpartition(":")[0]))])
-        if bare.endswith(".zip"):
-            statistics = statistics_file(Path(bare))
-            return _hash([_bytes(Path(bare)), *([_bytes(statistics)] if statistics else [])])
-        if bare in POLICIES:
-            return _of_controller(bare)
-        if (folder := agent_folder(bare)) is not None:
-            return _of_agent(folder, bare != name)
+        if kind == "program":
+            words = shlex.split(base.removeprefix(COMMAND))
+            return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
+        if kind == "python":
+            return [Path(base.rpartition(":")[0]).read_bytes()]
+        if kind in ("onnx", "sb3"):
+            statistics = statistics_file(Path(base)) if kind == "sb3" else None
+            return [file.read_bytes() for file in (Path(base), statistics) if file is not None]
+        if kind == "controller":
+            entry = POLICIES.get(base)
+            return [repr(sorted(entry.options.items())), json.dumps(numbers_of(base))] if entry else []
+        if name.folder is not None:
+            record = json.loads((name.folder / AGENT_FILE).read_bytes())
+            description = json.dumps({key: record.get(key) for key in AGENT_KEYS}, sort_keys=True)
+            expert = [] if record["expert"] == NO_EXPERT else _data(PolicyName.of(record["expert"]))
+            return [(name.folder / WEIGHTS).read_bytes(), description, *expert]
     except OSError:
         pass
-    return ""
+    return []
 
 
-def covered_files(name: str) -> str | None:
-    """Return a text that lists what the fingerprint of a policy covers; None if it covers everything."""
-    parts = []
-    bare = checked_name(name) or name
-    for part in guarded_name(bare) or (bare,):
-        if part.startswith(COMMAND):
-            files = [str(file) for file in files_of(shlex.split(part.removeprefix(COMMAND)))]
-            more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
-            parts.append(f"the words of {part!r} and the files {', '.join(files[:_NAMED]) or '(none)'}{more}")
-        elif ".py:" in part:
-            parts.append(f"the file {part.rpartition(':')[0]}")
-    return f"{' and '.join(parts)}, and nothing else that {name!r} reads or imports" if parts else None
+def _used(policy: str, data: str, scenario: Scenario) -> tuple[frozenset[str], bool]:
+    """Return the digests of a policy's kernels, and whether they do all of its arithmetic.
 
-
-_NAMED = 5
-"""Largest number of files in the text of `covered_files`."""
-SIMULATOR = "auv_gym.envs.track_vector_env"  # the module of the environment of evaluations
-SIMULATOR_PACKAGES = ("codegen", "envs", "physics", "planning", "scenarios", "task")
-"""Packages of auv_gym that determine an episode, together with the actions."""
-NOT_SIMULATOR = ("auv_gym.codegen.native", "auv_gym.codegen.cache")
-"""Modules that choose the compiler and the place of compiled code, which do not affect results."""
-MEASURES = ("baselines.evaluation.rollout", "baselines.evaluation.metrics")
-"""Modules that run the episodes and compute the metrics."""
-
-
-def simulator_fingerprint() -> str:
-    """Return the SHA-256 of the code that determines results: the environment, what it imports, C code and `MEASURES`.
-
-    Docstrings, comments, formatting and the names of modules do not count; in C code everything counts.
+    They are those of a few control steps of a scenario. A change of Python code then has no effect on the policy.
     """
-    packages = (*(f"auv_gym.{package}" for package in SIMULATOR_PACKAGES), *MEASURES)
-    modules = _imported(SIMULATOR, *MEASURES, packages=packages, without=NOT_SIMULATOR)
-    folder = Path(auv_gym.__file__).parent
-    sources = [file for package in SIMULATOR_PACKAGES for file in sorted((folder / package).rglob("*.c"))]
-    return _hash([*(module.digest for module in modules), *map(_bytes, sources)])
+    privileged = policy in POLICIES and POLICIES[policy].privileged
+    key = policy, data, scenario.known, scenario.parts if privileged else None
+    if key not in _known_kernels:
+        made, digests = _digests(lambda: make_policy(policy, scenario.known), scenario)
+        if isinstance(made, Law) and traceable(made):  # it computes on NumPy arrays, by the same equation
+            digests.add(Kernel.traced(lambda o: {"force": made.forces(o, SYMBOLS)}, {"o": SIZE}).digest)
+        _known_kernels[key] = frozenset(digests - _simulation(scenario)), _is_compiled(made)
+    return _known_kernels[key]
 
 
-def _of_agent(folder: Path, gated: bool) -> str:
-    record = json.loads(_bytes(folder / AGENT_FILE))
-    description = {key: record.get(key) for key in (*AGENT_KEYS, *(("region",) if gated else ()))}
-    expert = record["expert"]
-    parts = [json.dumps(description, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
-    return _hash([_bytes(folder / WEIGHTS), *parts, *(module.digest for module in _imported(_AGENT_CODE))])
+_known_kernels: dict[tuple[Any, ...], tuple[frozenset[str], bool]] = {}
+"""Results of `_used` by policy, data and vehicle, and for a privileged policy by the parts of the simulation."""
 
 
-def _of_controller(name: str) -> str:
-    factory, options, _ = POLICIES[name]
-    parts = (factory.func, *factory.args, *factory.keywords.values()) if isinstance(factory, partial) else (factory,)
-    code = list(_imported(*(part.__module__ for part in parts if callable(part))))
-    if not code and (file := inspect.getsourcefile(inspect.getmodule(factory) or type(factory))):
-        code = [_module(Path(file))]
-    words = {part for part in parts if isinstance(part, str)}.union(*(module.words for module in code))
-    gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
-    numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
-    powers = {word: own for word, own in json.loads(_bytes(EXPONENTS)).items() if word in words}
-    numbers += [json.dumps(powers, sort_keys=True)] if powers else []
-    settings = [repr(part) for part in parts if not callable(part)] + [repr(sorted(options.items()))]
-    return _hash([*settings, *numbers, *(module.digest for module in code)])
+@cache
+def _simulation(scenario: Scenario) -> set[str]:
+    """Return the digests of the kernels of the simulation of a scenario, without those of `together`."""
+    return _digests(OpenLoop, scenario)[1]
 
 
-def _gains(file: Path) -> Any:
-    record = json.loads(_bytes(file))
-    return record.get("gains", record) if isinstance(record, dict) else record
-
-
-class Module(NamedTuple):
-    """A module of Python code."""
-
-    digest: str
-    imports: frozenset[str]  # full names of imported modules and objects
-    words: frozenset[str]  # its string constants
-
-
-def _imported(*names: str, packages: Sequence[str] = POLICY_PACKAGES, without: Sequence[str] = ()) -> Iterator[Module]:
-    """Yield modules and all modules of some packages that they import, also indirectly, ordered by digest."""
-    prefixes = tuple(f"{package}." for package in packages)
-    modules: dict[str, Module] = {}
-    remaining = set(names)
-    while remaining:
-        name = remaining.pop()
-        if name in modules or name in without or not f"{name}.".startswith(prefixes):
-            continue
+def _digests(make: Callable[[], Policy], scenario: Scenario) -> tuple[Policy, set[str]]:
+    """Return a policy, and the digests of the kernels that it and the simulation use in a few control steps."""
+    brief = replace(scenario, steps=_STEPS)
+    episodes = drawn(brief, 1, 0).episodes
+    with recorded_digests() as digests, warnings.catch_warnings():  # of an agent for slow motion
+        warnings.simplefilter("ignore")
+        policy = make()
         try:
-            spec = importlib.util.find_spec(name)
-        except ModuleNotFoundError:  # the name of an object in a module
-            spec = None
-        if spec is not None and spec.origin is not None:
-            modules[name] = _module(Path(spec.origin))
-            remaining |= modules[name].imports
-    return iter(sorted(modules.values(), key=lambda module: module.digest))
+            rollout(policy, brief, episodes)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001, it fails in its own evaluation too
+            pass
+    return policy, digests
 
 
-def _module(file: Path) -> Module:
-    state = file.stat()
-    return _parsed(file, state.st_mtime_ns, state.st_size)
+def _is_compiled(policy: Any) -> bool:
+    """Return whether all arithmetic of a policy is in kernels."""
+    if isinstance(policy, ScaledPolicy):
+        return _is_compiled(policy.policy)
+    if isinstance(policy, Remembering):
+        return _is_compiled(policy.controller)
+    if isinstance(policy, BySpeed):
+        return _is_compiled(policy.slow) and _is_compiled(policy.cruise)
+    return isinstance(policy, Law | TracedController)
 
 
-@lru_cache(maxsize=256)
-def _parsed(file: Path, *_: int) -> Module:
-    """Return the module of a file; the other arguments are its time and size, so that a changed file is read again."""
-    tree = ast.parse(_bytes(file))
-    imports: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            imports |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Import):
-            imports |= {alias.name for alias in node.names}
-    words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    return Module(_hash([repr(_plain(tree))]), frozenset(imports), frozenset(words))
+@cache
+def code_fingerprint(*parts: str | Path) -> str:
+    """Return the hash of the statements in modules and folders, in no order; a text is a path in `baselines`."""
+    paths = [BASELINES / part for part in parts]
+    files = (file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path]))
+    return _hash(" ".join(sorted({digest for file in files for digest in statements(file.read_bytes())})))[:20]
 
 
-def _plain(node: Any) -> Any:
-    """Return a syntax tree as lists, which are the same in every version of Python.
-
-    Docstrings are left out, and so are the modules of `from` imports, so that moved code has the same hash.
-    """
-    if isinstance(node, list):
-        return [_plain(item) for item in node if not _is_docstring(item)]
-    if not isinstance(node, ast.AST):
-        return repr(node)
-    entries = (
-        (name, value) for name, value in ast.iter_fields(node) if value is not None and value != [] and name != "module"
-    )
-    return [type(node).__name__, *((name, _plain(value)) for name, value in entries)]
+_IGNORED = re.compile(
+    rb'^ *"""(?s:.*?)"""$'  # docstrings
+    rb"|^(?:import|from)\b[^(\n]*(?:\([^)]*\))?"
+    rb"|(?:^|  )#.*$",
+    re.MULTILINE,
+)
+"""Parts of a module that do not count."""
 
 
-def _is_docstring(node: Any) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+def statements(source: bytes) -> list[str]:
+    """Return the hash of each function, class and assignment of a module, so that these can be moved."""
+    lines = [line for line in _IGNORED.sub(b"", source).splitlines() if line.strip()]
+    return [_hash(part) for part in re.split(rb"\n(?=[\w@])", b"\n".join(lines))]
 
 
-def _bytes(file: Path) -> bytes:
-    if not file.is_file():
-        raise FileNotFoundError(file)
-    if file.stat().st_size > LARGEST_POLICY_FILE:
-        raise ValueError(f"{file} is larger than {LARGEST_POLICY_FILE} bytes, the limit for files of policies")
-    return file.read_bytes()
-
-
-def _hash(parts: Iterable[str | bytes]) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(hashlib.sha256(part.encode() if isinstance(part, str) else part).digest())
-    return digest.hexdigest()
+def _hash(part: str | bytes) -> str:
+    return hashlib.sha256(part.encode() if isinstance(part, str) else part).hexdigest()

@@ -1,4 +1,4 @@
-"""The options of evaluate.py: each field is an option, and its docstring is the help text."""
+"""The options of `auv-gym evaluate`, in a module that is imported fast."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes, arg
-
-from baselines.evaluation.about import NOTHING, About
+from tyro.conf import arg
 
 
 @dataclass(frozen=True)
@@ -22,13 +20,10 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Policies, compared with the expert; the default is the expert alone. Each is a name; FILE.py:FACTORY; a FILE.zip
     of Stable-Baselines3; a FILE.onnx; "cmd:COMMAND", a program in any language that reads observations and writes
-    actions line by line, see docs/programs.md; the folder of a trained agent, or of its training run. ":fade" after the
-    name or folder of an agent reduces its corrections outside of the region of its training data."""
+    actions line by line, see docs/programs.md; the folder of a trained agent, or of its training run."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
-    """A frozen suite: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; a score of 1 is the oracle's),
-    "benchmark-v1-validation", "ood-v1", "unmodelled-v1", "faults-v1", "governed-v1", "deep-v1", "sealed-v2" or
-    "vehicles-v2", see docs/suites.md. The tables also show the recorded results of other policies. Or "presets": all
-    presets, with episodes drawn from the seed."""
+    """A frozen suite, "benchmark-v2" by default, see docs/suites.md. The tables also show the recorded results of other
+    policies. Or "presets": all presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios instead of a suite: names of presets, or .toml and .json files."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -41,11 +36,7 @@ class Options:
     """Folder for the results."""
     step_limit: float = 0.1
     """Largest mean time of a policy for one action, in seconds; a slower policy fails."""
-    submit: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Also write the results of the policy in the whole suite as a submission for the leaderboard, NAME.npz in the
-    folder; see docs/enter.md."""
-    about: Annotated[About, OmitArgPrefixes] = NOTHING
-    """Description of the submission, optional."""
     resume: bool = False
     """Use the finished runs of an interrupted evaluation in the folder. A run is repeated if the policy's file or the
-    simulator has changed since, or if it was too slow for --step-limit."""
+    simulator has changed since, or if it was too slow for --step-limit. Files that a policy's file imports or reads are
+    not checked; of a program, the files that its command names are."""

@@ -12,15 +12,15 @@ from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.envs.vector_api import AutoresetMode
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths import Line
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.kernels import MadeBodies
+from auv_gym.task.kernels import MakeSimulator
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.programs import ProgramPolicy
 from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, steady_rmse
@@ -146,25 +146,25 @@ def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None =
 def beginning(
     cells: Sequence[tuple[Scenario, Sequence[Episode]]],
     preview: tuple[int, ...],
-    bodies: MadeBodies | None = None,
+    simulator: MakeSimulator | None = None,
 ) -> Begun:
     """Return an environment with all episodes of some scenarios in parallel, and its first observation.
 
     Args:
         cells: scenarios with the same number of substeps, and the episodes of each.
         preview: numbers of control periods ahead of the preview, see `auv_gym.task.preview`.
-        bodies: makes the vehicles of another simulator, if it replaces the plant.
+        simulator: makes the vehicles of another simulator, if it replaces the plant.
     """
     # The environment begins a next episode one step after an end. It is not evaluated, so its path is a straight line,
     # which needs no planning; if all episodes end together, it is never begun.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
-    scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
+    scenarios = [scenario for scenario, (_, episodes) in zip(after, cells, strict=True) for _ in episodes]
     env = UnderactuatedAUVTrackVectorEnv(
         len(scenarios), scenarios, preview=preview, autoreset_mode=AutoresetMode.NEXT_STEP
     )
-    if bodies is not None:
-        env.embody(bodies)
-    observation, _ = env.reset(seed=0, options={"episode": [episode for _, own in cells for episode in own]})
+    if simulator is not None:
+        env.use_simulator(simulator)
+    observation, _ = env.reset(seed=0, options={"episode": [episode for _, episodes in cells for episode in episodes]})
     return env, observation
 
 
@@ -185,7 +185,7 @@ def rollout(
     scenario: Scenario,
     episodes: Sequence[Episode],
     step_limit: float = math.inf,
-    bodies: MadeBodies | None = None,
+    simulator: MakeSimulator | None = None,
 ) -> Rollout:
     """Run a policy in N parallel episodes of a scenario and return the results.
 
@@ -194,7 +194,7 @@ def rollout(
         scenario: scenario of the episodes.
         episodes: the episodes.
         step_limit: largest mean time of a decision for one vehicle [s], see `Stopwatch`.
-        bodies: makes the vehicles of another simulator, if it replaces the plant.
+        simulator: makes the vehicles of another simulator, if it replaces the plant.
 
     Raises:
         PolicyError: see `play`.
@@ -204,7 +204,7 @@ def rollout(
         policy.step_limit = step_limit
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
-    env, observation = beginning([(scenario, episodes)], preview_of(policy), bodies=bodies)
+    env, observation = beginning([(scenario, episodes)], preview_of(policy), simulator)
     log = EpisodeLog(scenario.steps, len(episodes))
     log.rows.append(_row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, stopwatch)):
@@ -244,8 +244,7 @@ class EpisodeLog:
     def tracks(self) -> tuple[Track, ...]:
         """The tracks of the traced episodes, each as long as its episode."""
         table = np.array(self.rows)
-        own = (table[: int(length), :, i] for i, length in enumerate(self._length[: table.shape[2]]))
-        return tuple(Track(rows[:, 0:2], rows[:, 2:4], rows[:, 4:6], rows[:, 6:8]) for rows in own)
+        return tuple(Track(table[: int(length), :, i]) for i, length in enumerate(self._length[: table.shape[2]]))
 
     def measures(self, scenario: Scenario) -> Measures:
         """Return the metrics of the episodes."""
@@ -294,5 +293,5 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
 
 def _row(env: UnderactuatedAUVTrackVectorEnv) -> Array:
     """Return x, y, x_R, y_R [m], psi, psi_R [rad] and V_x, V_y [m/s] of the traced vehicles, shape (8, n)."""
-    state, current, (x_R, y_R, psi_R, *_) = env.state.T, env.current.T, env.reference
-    return np.stack((*state[:2], x_R, y_R, state[2], psi_R, *current))[:, :TRACED]
+    (x, y, psi), (x_R, y_R, psi_R, *_) = env.pose.T, env.reference
+    return np.array((x, y, x_R, y_R, psi, psi_R, *env.current.T))[:, :TRACED]

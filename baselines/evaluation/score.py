@@ -2,7 +2,7 @@
 
     score of p = (E_zero - E_p) / (E_zero - E_one),     E: mean over episodes of the steady-state RMSE
 
-E_zero and E_one are the errors of the two anchors, which each suite defines.
+E_zero and E_one are the errors of `EXPERT` and of `OPTIMUM_POLICY`.
 
 Errors are pooled before the division. A mean of the ratios of all cases would be dominated by cases in which the
 anchors are close together.
@@ -11,9 +11,8 @@ anchors are close together.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +24,13 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy with score 0
-ORACLE = "oracle"  # a regulator with known plant and disturbances; it has score 1 in the oldest suites
-OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum; it has score 1 in the other suites
+ORACLE = "oracle"  # a regulator with known plant and disturbances
+OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum, with score 1
 FULL_INFORMATION = (ORACLE, OPTIMUM_POLICY)
 """Reference policies with information that entries may not use."""
 RIVAL = "nmpc"  # the best policy without learning, with sensors and actuators without faults
 ADVERSE_RIVAL = "nmpc-adverse"  # the best policy without learning, with sensor and actuator faults
-DEEP = "deep"  # part of the names SPEED_RANGE-deep and SPEED_RANGE-deep-CASE of scenarios with dead reckoning
-ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
+ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Error caps [m] by speed range: the steady-state RMSE from which an episode counts as failed, and beyond which the
 capped score does not fall.
 
@@ -40,28 +38,12 @@ They are for the paper's vehicle; for another vehicle they are multiplied by the
 VEHICLE_MARK = "@"  # separates preset and vehicle in the name of a scenario for another vehicle
 
 
-class Anchors(NamedTuple):
-    """The two reference policies of a score."""
-
-    zero: str  # the policy with score 0
-    one: str  # the policy with score 1
-
-    @classmethod
-    def among(cls, policies: Collection[str]) -> Anchors:
-        """Return the anchors without a suite: `BY_ORACLE` if the oracle ran without the optimum, else `BY_BOUND`."""
-        return BY_BOUND if OPTIMUM_POLICY in policies or ORACLE not in policies else BY_ORACLE
-
-
-BY_BOUND = Anchors(EXPERT, OPTIMUM_POLICY)
-"""Anchors of benchmark-v2, and of evaluations without a suite."""
-BY_ORACLE = Anchors(EXPERT, ORACLE)
-"""Anchors of the older suites."""
-SCALE = "0 the expert, 1 the optimum, in older suites the oracle"  # the meaning of 0 and 1, as text
+SCALE = "0 the expert, 1 the optimum"  # the meaning of 0 and 1, as text
 
 
 @dataclass(frozen=True)
 class Score:
-    """A score with its 95 % interval; nan if the anchor of 0 is not worse than the anchor of 1."""
+    """A score with its 95 % interval; nan if the expert is not worse than the optimum."""
 
     mean: float
     ci95: tuple[float, float]
@@ -99,12 +81,6 @@ def speed_range_of(scenario: str) -> str | None:
     return next((speed_range for speed_range in SPEED_RANGES if scenario.startswith(f"{speed_range}-")), None)
 
 
-def cap_key(scenario: str) -> str | None:
-    """Return the key of a scenario in `ERROR_CAPS`: its speed range, or `DEEP` in both speed ranges."""
-    speed_range = speed_range_of(scenario)
-    return DEEP if speed_range and f"{scenario}-".startswith(f"{speed_range}-{DEEP}-") else speed_range
-
-
 def vehicle_of(scenario: str) -> str:
     """Return the vehicle in the name of a scenario, "" for the paper's vehicle."""
     return scenario.partition(VEHICLE_MARK)[2]
@@ -131,8 +107,8 @@ def cap_of(scenario: Scenario) -> float:
 
 def error_cap(scenario: str) -> float:
     """Return the error cap in metres of the paper's vehicle, by the name of a scenario; see `in_paper_metres`."""
-    key = cap_key(scenario)
-    return ERROR_CAPS[key] if key else math.inf
+    speed_range = speed_range_of(scenario)
+    return ERROR_CAPS[speed_range] if speed_range else math.inf
 
 
 def has_failed(ended: Measures | Ended, cap: float) -> NDArray[np.bool_]:
@@ -214,9 +190,9 @@ def seeds_score(zero: Sequence[Array], seeds: Sequence[Array], one: Sequence[Arr
     """Return the mean score of agents from several training seeds; the interval is over seeds and episodes.
 
     Args:
-        zero: steady-state errors [m] of the anchor of 0 in paired episodes, shape (M,) for each case.
+        zero: steady-state errors [m] of the expert in paired episodes, shape (M,) for each case.
         seeds: errors of the agents from S seeds, shape (S, M) for each case.
-        one: errors of the anchor of 1, as `zero`.
+        one: errors of the optimum, as `zero`.
     """
     return lead(zero, zero, seeds, one)
 

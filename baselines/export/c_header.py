@@ -8,19 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.codegen.plain import c_dialect, parameters, plain_function, tangent_function
-from auv_gym.codegen.vectors import plain_program
+from auv_gym.codegen.printing import c_language
 from auv_gym.task.policy import LARGEST, POSITIVE
 from baselines.agents.networks import OUTPUTS
-from baselines.export.parts import (
-    MEASURED_NAMES,
-    REFERENCE_NAMES,
-    SETTING,
-    Exported,
-    measurement_kernel,
-    network_program,
-    quantised,
-)
+from baselines.export.parts import MEASURED_NAMES, REFERENCE_NAMES, SETTING, Exported, network_program
+from baselines.export.plain import parameters, plain_function, tangent_function
+from baselines.export.vectors import plain_program
 
 PREFIX = "auv_agent"
 """Default prefix of the names in a header."""
@@ -160,6 +153,11 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         weights: type of the network's matrices, "float32" or "int8".
         prefix: prefix of every name in the header.
     """
+    ahead = ""
+    if agent.preview:
+        times = ", ".join(map(str, agent.preview))
+        meaning = f"displacement x, y [m] of the reference, in world axes, after {times} control periods"
+        ahead = f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {meaning} */\n"
     names = {
         "prefix": prefix,
         "file": f"{agent.name}.h",
@@ -170,61 +168,47 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         "measured": ", ".join(MEASURED_NAMES),
         "reference": ", ".join(REFERENCE_NAMES),
         "setting": ", ".join(SETTING),
-        "ahead": _ahead(agent, prefix),
+        "ahead": ahead,
         "largest": f"{LARGEST:g}",
     }
-    declared = _DECLARED.format(**names)
-    printed = _functions(agent, precision, weights, prefix)
-    return "\n".join(
-        (_comment(agent, names), declared + printed, _DEFINED.format(**names, **_calls(agent, precision, prefix)))
-    )
-
-
-def _ahead(agent: Exported, prefix: str) -> str:
-    """Return the declaration of a view's field for the preview; empty without a preview."""
-    if not agent.preview:
-        return ""
-    periods = ", ".join(map(str, agent.preview))
-    meaning = f"displacement x, y [m] of the reference, in world axes, after {periods} control periods"
-    return f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {meaning} */\n"
-
-
-def _comment(agent: Exported, names: Mapping[str, str]) -> str:
-    """Return the comment at the beginning of the header."""
-    facts = [
-        line
-        for key, text in agent.facts.items()
-        for line in textwrap.wrap(f"{key}: {text}", _WIDTH, subsequent_indent="  ")
-    ]
+    facts = [f"{key}: {text}" for key, text in agent.facts.items()]
+    about = [line for fact in facts for line in textwrap.wrap(fact, _WIDTH, subsequent_indent="  ")]
     title = "An agent of auv_gym with its expert, written by auv-gym export."
-    return "\n".join(("/*", title, "", _USE.format(**names).strip(), "", *facts, "*/"))
+    comment = "\n".join(("/*", title, "", _USE.format(**names).strip(), "", *about, "*/"))
+    declared = _DECLARED.format(**names) + _functions(agent, precision, weights, prefix)
+    return "\n".join((comment, declared, _DEFINED.format(**names, **_calls(agent, precision, prefix))))
 
 
 def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> str:
     """Return the tables of the weights, and the functions generated from graphs and network."""
-    dialect, kernel = c_dialect(precision), measurement_kernel(agent.preview, agent.span)
-    tables: list[str] = []
+    language, tangent = c_language(precision), f"{prefix}_tanh"
+    parts: list[str] = []
     scales: dict[str, str] = {}
     program = network_program(agent.agent, f"{prefix}_")
     for name, array in program.constants.items():
         if array.ndim > 1 and weights == "int8":
             integers, scale = quantised(array)
             scales[name] = f"{name}_scale"
-            tables += [_table("signed char", name, integers), _table("float", scales[name], scale)]
+            parts += [_table("signed char", name, integers), _table("float", scales[name], scale)]
         else:
-            tables.append(_table("float", name, array))
-    tangent = f"{prefix}_tanh"
-    parts = [
-        *tables,
-        tangent_function(tangent, dialect),
-        plain_program(f"{prefix}_network", program, tangent, dialect, scales),
-        plain_function(f"{prefix}_see", agent.see.graph, agent.see.arguments, agent.seen, dialect),
-        plain_function(
-            f"{prefix}_command", agent.command.graph, agent.command.arguments, agent.command.results, dialect
-        ),
-        plain_function(f"{prefix}_encode", kernel.graph, kernel.arguments, kernel.results, dialect),
-    ]
+            parts.append(_table("float", name, array))
+    parts.append(tangent_function(tangent, language, precision))
+    parts.append(plain_program(f"{prefix}_network", program, tangent, language, scales))
+    for name, kernel, results in (
+        ("see", agent.see, agent.seen),
+        ("command", agent.command, agent.command.results),
+        ("encode", agent.encode, agent.encode.results),
+    ):
+        function = f"{prefix}_{name}"
+        parts.append(plain_function(function, kernel.graph, kernel.arguments, results, language, precision))
     return "\n".join(parts)
+
+
+def quantised(weight: Any) -> tuple[Any, Any]:
+    """Return a matrix as integers in [-127, 127] and the scale factor of each row."""
+    scale = np.abs(weight).max(axis=1) / 127
+    scale = np.where(scale > 0, scale, 1.0).astype(np.float32)
+    return np.rint(weight / scale[:, None]).astype(np.int8), scale
 
 
 def _table(kind: str, name: str, array: Any) -> str:
@@ -240,31 +224,25 @@ def _single(x: float) -> str:
 
 def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
     """Return the arguments and sizes with which the template `_DEFINED` calls the generated functions."""
-    given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
-    given |= {"correction": "memory->correction", "integrals": "next.integrals"}
-    see = parameters(agent.see.arguments, agent.seen)
-    kernel = measurement_kernel(agent.preview, agent.span)
-    encode = parameters(kernel.arguments, kernel.results)
-    own = {"observation": "observation", "last": "memory->command"}
-    hidden = bool(agent.agent.network.memory)
-    network = ["features", *["memory->hidden"] * hidden, "next.correction", *["next.hidden"] * hidden]
-    sizes = {**agent.memory, "command": OUTPUTS}
-    views = {name: len(kernel.arguments[name]) for name in encode if name in kernel.arguments and name != "last"}
-    number = c_dialect(precision).language.number
+    seen = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
+    seen |= {"correction": "memory->correction", "integrals": "next.integrals"}
+    encode = parameters(agent.encode.arguments, agent.encode.results)
+    encoded = {"observation": "observation", "last": "memory->command"}
+    views = {name: len(entries) for name, entries in agent.encode.arguments.items() if name != "last"}
+    sizes, hidden = {**agent.memory, "command": OUTPUTS}, bool(agent.agent.network.memory)
+
+    def usable(where: str, arrays: Mapping[str, int], indent: int) -> str:
+        checks = (f"{prefix}_usable({where}{name}, {n})" for name, n in arrays.items())
+        return f"\n{' ' * indent}    && ".join(checks)
+
     return {
-        "encoded": ", ".join(own.get(name, f"view->{name}") for name in encode),
-        "authority": ", ".join(map(number, agent.agent.authority)),
+        "encoded": ", ".join(encoded.get(name, f"view->{name}") for name in encode),
+        "authority": ", ".join(map(c_language(precision).number, agent.agent.authority)),
         "features": str(agent.agent.network.inputs),
-        "seen": ", ".join(given.get(name, name) for name in see),
-        "computed": ", ".join(network),
+        "seen": ", ".join(seen.get(name, name) for name in parameters(agent.see.arguments, agent.seen)),
+        "computed": ", ".join(("features", *["memory->hidden"] * hidden, "next.correction", *["next.hidden"] * hidden)),
         "forget": "\n".join(f"    for (i = 0; i < {n}; i++) memory->{name}[i] = 0;" for name, n in sizes.items()),
         "positive": "".join(f" && observation[{i}] > 0" for i in POSITIVE),
-        "finite": _all_usable("next.", sizes, prefix, 8),
-        "given": _all_usable("view->", views, prefix, 4),
+        "finite": usable("next.", sizes, 8),
+        "given": usable("view->", views, 4),
     }
-
-
-def _all_usable(where: str, sizes: Mapping[str, int], prefix: str, indent: int) -> str:
-    """Return the C expression that is true if all numbers of these arrays are usable."""
-    checks = (f"{prefix}_usable({where}{name}, {n})" for name, n in sizes.items())
-    return f"\n{' ' * indent}    && ".join(checks)

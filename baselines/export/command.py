@@ -47,12 +47,7 @@ class Options:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the files and return the exit status.
-
-    Raises:
-        UsageError: the arguments are wrong.
-        OSError: a file cannot be read or written.
-    """
+    """Run the command; see `run` of `baselines.tools.command_line`."""
     options = parse(Options, arguments, PROGRAM)
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")

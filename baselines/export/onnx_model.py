@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from onnx import TensorProto, checker, helper, numpy_helper
 
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
-from auv_gym.codegen.vectors import Program
 from auv_gym.task.policy import LARGEST, POSITIVE
 from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import Exported
+from baselines.export.vectors import Program
 from baselines.policy import A_U
 
 OPSET = 17
@@ -20,41 +21,17 @@ OPSET = 17
 IR_VERSION = 9
 """Version of the file format for this operator set."""
 OPERATORS = {
-    "add": "Add",
-    "sub": "Sub",
-    "mul": "Mul",
-    "div": "Div",
-    "neg": "Neg",
-    "abs": "Abs",
-    "log": "Log",
-    "sqrt": "Sqrt",
-    "floor": "Floor",
-    "clip": "Clip",
-    "where": "Where",
-    "lt": "Less",
-    "le": "LessOrEqual",
-    "and": "And",
-    "or": "Or",
-    "not": "Not",
-}
-"""ONNX operators by operation of a graph; `lowered` removes all other operations."""
-VECTOR_OPERATORS = {
-    "add": "Add",
-    "subtract": "Sub",
-    "multiply": "Mul",
-    "maximum": "Max",
-    "clip": "Clip",
-    "tanh": "Tanh",
-}
-"""ONNX operators by operation of a `Program`."""
+    "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "abs": "Abs", "log": "Log", "sqrt": "Sqrt",
+    "floor": "Floor", "clip": "Clip", "where": "Where", "lt": "Less", "le": "LessOrEqual", "and": "And", "or": "Or",
+    "not": "Not", "maximum": "Max", "tanh": "Tanh",
+}  # fmt: skip
+"""ONNX operators by operation of a graph or of a `Program`; `lowered` removes all other operations of graphs."""
 
 
 class _Writer:
     """Collects the nodes and constants of a model."""
 
     def __init__(self, precision: str) -> None:
-        from onnx import TensorProto
-
         self.precision = precision
         self.real = TensorProto.FLOAT if precision == "float32" else TensorProto.DOUBLE
         self.single, self.truth = TensorProto.FLOAT, TensorProto.BOOL
@@ -63,14 +40,10 @@ class _Writer:
 
     def node(self, operator: str, inputs: Sequence[str], outputs: Sequence[str], **attributes: Any) -> None:
         """Add an operator."""
-        from onnx import helper
-
         self.nodes.append(helper.make_node(operator, list(inputs), list(outputs), **attributes))
 
     def constant(self, name: str, value: Any, kind: Any = None) -> str:
         """Add a constant and return its name."""
-        from onnx import numpy_helper
-
         self.constants.setdefault(name, numpy_helper.from_array(np.array(value, kind or self.precision), name))
         return name
 
@@ -81,6 +54,11 @@ class _Writer:
     def split(self, array: str, names: Sequence[str]) -> None:
         """Split an array into columns of these names."""
         self.node("Split", [array, self.constant(f"ones_{len(names)}", [1] * len(names), np.int64)], names, axis=1)
+
+    def slice(self, array: str, first: int, size: int, name: str) -> None:
+        """Add the columns of an array from `first` on under a name."""
+        ends = [self.constant(f"at_{k}", [k], np.int64) for k in (first, first + size, 1)]
+        self.node("Slice", [array, *ends], [name])
 
     def equation(self, prefix: str, graph: Graph, wanted: Sequence[Symbol], given: Mapping[str, str]) -> list[str]:
         """Add the nodes for some results of a graph and return their names; `given` has the names of its inputs."""
@@ -98,17 +76,13 @@ class _Writer:
                 self.node("Cast", [f"{names[i]}_single"], [names[i]], to=self.real)
             else:
                 self.node(OPERATORS[operation], [names[a] for a in arguments], [names[i]])
-        like = next(iter(given.values()))
-        return [
-            self.column(names[s.index], like, f"{prefix}_{j}") if s.value is not None else names[s.index]
-            for j, s in enumerate(flat)
-        ]
-
-    def column(self, number: str, like: str, name: str) -> str:
-        """Add a column filled with a number, of the length of the column `like`, and return its name."""
-        self.node("Shape", [like], [f"{name}_shape"])
-        self.node("Expand", [number, f"{name}_shape"], [name])
-        return name
+        columns = [names[s.index] for s in flat]
+        for j, symbol in enumerate(flat):
+            if symbol.value is not None:  # a number becomes a column
+                self.node("Shape", [next(iter(given.values()))], [f"{prefix}_{j}_shape"])
+                self.node("Expand", [columns[j], f"{prefix}_{j}_shape"], [f"{prefix}_{j}"])
+                columns[j] = f"{prefix}_{j}"
+        return columns
 
     def within(self, array: str, most: float) -> str:
         """Add the mask of the entries of an array whose magnitude is at most `most`, and return its name."""
@@ -138,26 +112,23 @@ class _Writer:
         def named(argument: Any) -> str:
             if isinstance(argument, float):
                 return self.number(argument)
-            return (
-                self.constant(argument, program.constants[argument]) if isinstance(argument, str) else names[argument]
-            )
+            if isinstance(argument, int):
+                return names[argument]
+            return self.constant(argument, program.constants[argument])
 
         for i, node in enumerate(program.nodes):
             operation, arguments, names[i] = node.operation, node.arguments, f"network{i}"
             if operation == "input":
                 names[i] = given.get(arguments[0], "")
             elif operation == "slice":
-                first, end, axis = (
-                    self.constant(f"at_{k}", [k], np.int64) for k in (arguments[1], arguments[1] + node.size, 1)
-                )
-                self.node("Slice", [names[arguments[0]], first, end, axis], [names[i]])
+                self.slice(names[arguments[0]], arguments[1], node.size, names[i])
             elif operation == "concatenate":
                 self.node("Concat", [names[a] for a in arguments], [names[i]], axis=1)
             elif operation == "dot":
                 turned = self.constant(f"{arguments[0]}_T", program.constants[arguments[0]].T)
                 self.node("MatMul", [names[arguments[1]], turned], [names[i]])
             else:
-                self.node(VECTOR_OPERATORS[operation], [named(a) for a in arguments], [names[i]])
+                self.node(OPERATORS[operation], [named(a) for a in arguments], [names[i]])
         return {result: names[i] for result, i in program.results.items()}
 
 
@@ -173,26 +144,22 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     Args:
         agent: the agent.
         precision: type of all numbers, including inputs and outputs, "float32" or "float64".
-
-    Raises:
-        ImportError: onnx is not installed.
     """
-    from onnx import checker, helper
-
     writer = _Writer(precision)
     results = _add_agent(writer, agent)
-    before = {"action": _last_command(writer), **{f"next_{name}": name for name in agent.memory}}
+    writer.slice("observation", A_U, OUTPUTS, "last")
+    writer.node("Where", [writer.within("last", 1.0), "last", writer.number(0.0)], ["last_command"])
+    before = {"action": "last_command", **{f"next_{name}": name for name in agent.memory}}
     usable = writer.usable(["observation", *(results[name] for name in before)])
     sizes = {"observation": len(agent.columns), **agent.memory}
     ends = {"action": OUTPUTS} | {f"next_{name}": size for name, size in agent.memory.items()}
     for name in ends:
         writer.node("Where", [usable, results[name], before[name]], [name])
     writer.node("Not", [usable], ["repeated"])
-    inputs, outputs = (
-        [helper.make_tensor_value_info(name, writer.real, ["batch", size]) for name, size in part.items()]
-        for part in (sizes, ends)
-    )
-    outputs.append(helper.make_tensor_value_info("repeated", writer.truth, ["batch", 1]))
+    value = helper.make_tensor_value_info
+    inputs = [value(name, writer.real, ["batch", size]) for name, size in sizes.items()]
+    outputs = [value(name, writer.real, ["batch", size]) for name, size in ends.items()]
+    outputs.append(value("repeated", writer.truth, ["batch", 1]))
     graph = helper.make_graph(writer.nodes, agent.name, inputs, outputs, list(writer.constants.values()))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="auv_gym")
     model.ir_version = IR_VERSION
@@ -202,40 +169,26 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     return model
 
 
-def _last_command(writer: _Writer) -> str:
-    """Add the last command, taken from the observation, zero where it is not in [-1, 1], and return its name."""
-    first, end, axis = (writer.constant(f"at_{k}", [k], np.int64) for k in (A_U, A_U + OUTPUTS, 1))
-    writer.node("Slice", ["observation", first, end, axis], ["last"])
-    writer.node("Where", [writer.within("last", 1.0), "last", writer.number(0.0)], ["last_command"])
-    return "last_command"
-
-
 def _add_agent(writer: _Writer, agent: Exported) -> dict[str, str]:
     """Add features, network and command, and return the names of the results by the names of the outputs."""
     see = agent.see
-    given = {s.node[1]: s.node[1] for own in see.arguments.values() for s in own}
+    given = {s.node[1]: s.node[1] for symbols in see.arguments.values() for s in symbols}
     columns = [s.node[1] for s in see.arguments["observation"]] + [s.node[1] for s in see.arguments["ahead"]]
     writer.split("observation", columns)
     for name in ("integrals", "correction"):
         writer.split(name, [s.node[1] for s in see.arguments[name]])
-    names = writer.equation("see", see.graph, [s for own in agent.seen.values() for s in own], given)
+    names = writer.equation("see", see.graph, [s for symbols in agent.seen.values() for s in symbols], given)
     seen: dict[str, list[str]] = {}
-    for name, own in agent.seen.items():
-        seen[name], names = names[: len(own)], names[len(own) :]
+    for name, symbols in agent.seen.items():
+        seen[name], names = names[: len(symbols)], names[len(symbols) :]
         writer.node("Concat", seen[name], [f"{name}_now"], axis=1)
     network = writer.program(agent.network, {"features": "features_now", "hidden": "hidden"})
     changes = [f"change_{j}" for j in range(OUTPUTS)]
     writer.split(network["correction"], changes)
-    rule = agent.command
-    names_of = {
-        "base": seen["base"],
-        "authority": [writer.number(a) for a in agent.agent.authority],
-        "correction": changes,
-    }
-    inside = {
-        s.node[1]: name for array, own in rule.arguments.items() for s, name in zip(own, names_of[array], strict=True)
-    }
-    command = writer.equation("command", rule.graph, rule.results["command"], inside)
+    rule, authority = agent.command, [writer.number(a) for a in agent.agent.authority]
+    columns = [*seen["base"], *authority, *changes]
+    entries = [s.node[1] for name in ("base", "authority", "correction") for s in rule.arguments[name]]
+    command = writer.equation("command", rule.graph, rule.results["command"], dict(zip(entries, columns, strict=True)))
     writer.node("Concat", command, ["command"], axis=1)
     return {
         "action": "command",

@@ -13,11 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast
 
-import numpy as np
-
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.codegen.vectors import Program
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import changed
@@ -29,9 +26,10 @@ from auv_gym.task.policy import Law, traceable
 from auv_gym.task.preview import preview_columns
 from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from baselines.agents.agent import AGENT_FILE, Agent, make_expert
-from baselines.agents.names import AGENT_FOLDER, FADING, agent_folder, shipped_agents
+from baselines.agents.names import AGENT_FOLDER, agent_folder, shipped_agents
 from baselines.agents.networks import OUTPUTS
 from baselines.agents.residual_policy import command_kernel, feature_kernel
+from baselines.export.vectors import Program
 from baselines.tools.files import read_json
 
 MEASURED_NAMES = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]")
@@ -53,7 +51,7 @@ class Exported:
     network: Program  # from features and hidden to correction and next_hidden
     command: Kernel  # from base, authority and correction to the command
     vehicle: Vehicle = PAPER_VEHICLE
-    span: int = 1  # widest span of the observations, see `widest_span`
+    bound_factor: int = 1  # largest `Scenario.bound_factor` of the vehicle's presets
 
     @property
     def preview(self) -> tuple[int, ...]:
@@ -63,8 +61,13 @@ class Exported:
     @property
     def columns(self) -> tuple[str, ...]:
         """Name, unit and scale of each entry of an observation."""
-        own = tuple(f"{term.name} [{term.unit}] / {term.scale:g}" for term in TERMS)
-        return own + tuple(f"ahead_{n}_{axis} [m]" for n in self.preview for axis in "xy")
+        terms = tuple(f"{term.name} [{term.unit}] / {term.scale:g}" for term in TERMS)
+        return terms + tuple(f"ahead_{n}_{axis} [m]" for n in self.preview for axis in "xy")
+
+    @property
+    def encode(self) -> Kernel:
+        """The kernel from measurements to an observation, see `measurement_kernel`."""
+        return measurement_kernel(self.preview, self.bound_factor)
 
     @property
     def memory(self) -> dict[str, int]:
@@ -105,11 +108,8 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
 
     Raises:
         OSError: a file of the agent cannot be read.
-        ValueError: there is no such agent or vehicle, or the agent cannot be exported because its expert has a memory
-            or its corrections are gated by `FADING`.
+        ValueError: there is no such agent or vehicle, or the agent cannot be exported because its expert has a memory.
     """
-    if name.endswith(FADING):
-        raise ValueError(f"{name!r} cannot be exported with gated corrections; leave out {FADING}")
     if (folder := agent_folder(name)) is None:
         raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
     agent = Agent.load(folder)
@@ -119,21 +119,14 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
     if not traceable(expert):
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} must be a law without memory")
     record = read_json(folder / AGENT_FILE)
-    forces = cast(Law, expert).forces
-    see = feature_kernel(agent.inputs, forces, scaled, Units.of(known))
-    network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
-    here = folder.resolve()
-    called = here.parent.name if here.name == AGENT_FOLDER else here.name
-    return Exported(called, agent, record["weights_sha256"], see, network, command, known, span)
-
-
-def widest_span(vehicle: Vehicle | VehicleModel | str) -> int:
-    """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.observation.bounds`."""
-    spans = [1]
+    see, network = feature_kernel(agent.inputs, cast(Law, expert), scaled, Units.of(known)), network_program(agent)
+    factors = [1]
     for preset in PRESETS.values():
         with suppress(ValueError):  # the path is too slow for the fins of this vehicle
-            spans.append(changed(preset, vehicle).span)
-    return max(spans)
+            factors.append(changed(preset, vehicle).bound_factor)
+    here = folder.resolve()
+    called = here.parent.name if here.name == AGENT_FOLDER else here.name
+    return Exported(called, agent, record["weights_sha256"], see, network, command_kernel(), known, max(factors))
 
 
 def network_program(agent: Agent, prefix: str = "") -> Program:
@@ -152,12 +145,12 @@ def network_program(agent: Agent, prefix: str = "") -> Program:
 
 
 @cache
-def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
+def measurement_kernel(preview: tuple[int, ...], bound_factor: int) -> Kernel:
     """Return the kernel from measurements in SI units to an observation, traced from the environment's equations.
 
     Its arguments are measured (`MEASURED_NAMES`), reference (`REFERENCE_NAMES`), last (the previous command), setting
     (`SETTING`), and with a preview ahead: the displacements x, y, x, y, ... [m] of the reference, in world axes, from
-    now to each time of the preview. For the span see `auv_gym.task.observation.bounds`.
+    now to each time of the preview. For the bound factor see `auv_gym.task.observation.bounds`.
     """
 
     def equation(measured: Any, reference: Any, last: Any, setting: Any, ahead: Any = ()) -> Mapping[str, Any]:
@@ -165,9 +158,9 @@ def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
         sample[: len(reference)], sample[SAMPLE.fix] = reference, 1.0
         constants[PARAMETERS.F_u_max], constants[PARAMETERS.F_r_max], constants[PARAMETERS.h] = setting
         _, terms = start(tuple(measured), sample, Parameters.of(constants, Parts()), SYMBOLS)
-        rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS, span)
+        rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS, bound_factor)
         o = Observation._make(decode(rows, SYMBOLS))
-        return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS, span)]}
+        return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS, bound_factor)]}
 
     rows = {
         "measured": len(MEASURED_NAMES),
@@ -176,10 +169,3 @@ def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
         "setting": len(SETTING),
     }
     return Kernel.traced(equation, rows | ({"ahead": 2 * len(preview)} if preview else {}), structural=True)
-
-
-def quantised(weight: Any) -> tuple[Any, Any]:
-    """Return a matrix as integers in [-127, 127] and the scale factor of each row."""
-    scale = np.abs(weight).max(axis=1) / 127
-    scale = np.where(scale > 0, scale, 1.0).astype(np.float32)
-    return np.rint(weight / scale[:, None]).astype(np.int8), scale

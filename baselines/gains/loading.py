@@ -1,14 +1,15 @@
 """Load the gains of the tuned controllers, and adapt them to the limits, the lag and the drag of another vehicle.
 
-Each controller has a JSON file per speed range in `baselines/gains`. The file also says where the numbers come from.
-For a vehicle with known actuators each gain at cruise is multiplied by powers of the vehicle's `RATIOS`. The file
-`EXPONENTS` has the exponents, which `python -m research gain-exponents` fits to random vehicles.
+`GAINS_FILE` has all gains and where they come from: the `sets` of the paper's law, by name; gains that `auv-gym tune`
+has `tuned`, by controller and speed range; and `exponents`, by controller. For a vehicle with known actuators each gain
+at cruise is multiplied by powers of the vehicle's `RATIOS`, with these exponents.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -20,11 +21,9 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
+from baselines.tools.files import write_atomically
 
-GAINS_FOLDER = Path(__file__).parent
-"""Folder of the files of gains, NAME-SPEED_RANGE.json."""
-EXPONENTS = GAINS_FOLDER / "exponents.json"
-"""File of the exponents of the gains at cruise, by controller: for each gain those of `vehicle_ratios`."""
+GAINS_FILE = Path(__file__).with_name("gains.json")  # the only copy of all gains
 RATIOS = ("thrust", "torque", "lag", "sway", "yaw", "mass")
 """Ratios of a vehicle to the paper's vehicle, both in the paper's units: limits of the actuators at the design speed,
 their lag, drag in sway and yaw over velocity at the design speed, and m22."""
@@ -32,15 +31,21 @@ LARGEST_RATIO = 4.0
 """A ratio counts as at most this number and at least its inverse, so that extreme vehicles are not extrapolated to."""
 
 
-def gain_file(name: str, speed_range: str) -> Path:
-    """Return the path of the file with the gains of a controller for a speed range.
+@cache
+def recorded_gains() -> dict[str, Any]:
+    """Return the contents of `GAINS_FILE`."""
+    record: dict[str, Any] = json.loads(GAINS_FILE.read_text(encoding="utf-8"))
+    return record
 
-    Raises:
-        ValueError: the speed range is neither slow nor cruise.
-    """
-    if speed_range not in SPEED_RANGES:
-        raise ValueError(f"unknown speed range {speed_range!r}; allowed are {', '.join(SPEED_RANGES)}")
-    return GAINS_FOLDER / f"{name}-{speed_range}.json"
+
+def write_gains(part: str, name: str, record: Mapping[str, Any]) -> None:
+    """Write the record of a controller in a part of `GAINS_FILE`, in place of its earlier one."""
+    content = json.loads(GAINS_FILE.read_text(encoding="utf-8"))
+    content[part][name] = record
+    lists = re.compile(r"\[\s+([^\[\]{}]*?)\s+\]")  # on one line each
+    text = lists.sub(lambda found: f"[{' '.join(found[1].split())}]", json.dumps(content, indent=1))
+    write_atomically(GAINS_FILE, f"{text}\n")
+    recorded_gains.cache_clear()
 
 
 def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, float]:
@@ -78,12 +83,6 @@ def _measures(vehicle_model: VehicleModel) -> tuple[float, ...]:
     return actuators.F_u_max, torque, lag, sway, yaw, vehicle.m22
 
 
-@cache
-def _exponents() -> Mapping[str, Mapping[str, Sequence[float]]]:
-    record = json.loads(EXPONENTS.read_text(encoding="utf-8"))
-    return {name: entry["exponents"] for name, entry in record.items()}
-
-
 def adapted_gains(name: str, speed_range: str, names: Sequence[str], vehicle: Any) -> dict[str, float]:
     """Return the gains of a controller for a vehicle in the paper's units.
 
@@ -101,7 +100,7 @@ def adapted_gains(name: str, speed_range: str, names: Sequence[str], vehicle: An
     if not isinstance(vehicle, VehicleModel) or speed_range != "cruise":
         return gains
     ratios = vehicle_ratios(vehicle)
-    for gain, powers in _exponents().get(name, {}).items():
+    for gain, powers in recorded_gains()["exponents"].get(name, {"exponents": {}})["exponents"].items():
         gains[gain] *= math.exp(sum(power * ratio for power, ratio in zip(powers, ratios, strict=True)))
     return gains
 
@@ -110,38 +109,28 @@ def load_gains(name: str, speed_range: str, names: Sequence[str], part: str = "g
     """Return the gains of a controller for a speed range and the paper's vehicle.
 
     Args:
-        name: of the controller; its files begin with it.
+        name: of the controller.
         speed_range: "slow" or "cruise".
         names: of its gains.
-        part: "gains", or "start" for the initial gains of the search. Without a search they are the same.
+        part: "gains", or "start" for the initial gains of the search.
 
     Raises:
-        ValueError: the speed range or the file does not exist, the file is not valid JSON, or the names of its gains
-            are not `names`.
+        ValueError: there are no such gains, or their names are not `names`.
     """
-    record = gain_record(name, speed_range)
-    return checked_gains(record.get(part, record.get("gains")), names, str(gain_file(name, speed_range)))
-
-
-def gain_record(name: str, speed_range: str) -> dict[str, Any]:
-    """Return the contents of the file with a controller's gains for a speed range.
-
-    A file that holds no JSON object is returned as {"gains": contents}, so that `checked_gains` can report it.
-
-    Raises:
-        ValueError: the speed range or the file does not exist, or the file is not valid JSON.
-    """
-    file = gain_file(name, speed_range)
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        command = f"auv-gym tune {name} --speed-range {speed_range}"
-        raise ValueError(
-            f'the file of gains {file} does not exist; write initial gains, {{"gains": ...}}, then run {command}'
-        ) from None
-    except ValueError as error:
-        raise ValueError(f"{file} is not valid JSON: {error}") from error
-    return record if isinstance(record, dict) else {"gains": record}
+        record = recorded_gains()["tuned"][name][speed_range]
+    except KeyError:
+        command = f"auv-gym tune {name} --speed-range {speed_range} --start FILE.json"
+        raise ValueError(f"{GAINS_FILE} has no gains of {name} in {speed_range}: {command} tunes them") from None
+    return checked_gains(record[part], names, f"{GAINS_FILE}, {name} in {speed_range},")
+
+
+def numbers_of(name: str) -> list[Any]:
+    """Return all recorded numbers that a controller can depend on, as plain JSON."""
+    record = recorded_gains()
+    tuned = [entry["gains"] for entry in record["tuned"].get(name, {}).values()]
+    exponents = record["exponents"].get(name, {}).get("exponents")
+    return [tuned, exponents, {key: entry["gains"] for key, entry in record["sets"].items()}]
 
 
 def tuned_policy(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import tomli_w
 from tyro.conf import Positional, arg
@@ -17,22 +17,16 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.identification import Identified, Log, identify
 from baselines.identification.columns import Format
-from baselines.identification.files import scenario, vehicle_text
-from baselines.identification.held_out import drawing, held_out, section
-from baselines.identification.initial_values import NEEDED
+from baselines.identification.files import limits_of, scenario, vehicle_text
 from baselines.identification.log import joined
-from baselines.identification.model import is_current, names_of
-from baselines.identification.report import MISFIT, report_files, rows
-from baselines.identification.trials import EXAMPLE_CURRENT, example
+from baselines.identification.model import NEEDED, is_current, names_of
+from baselines.identification.prediction import HeldOut, held_out
+from baselines.identification.report import MISFIT, held_out_text, report_files, rows
+from baselines.identification.trials import EXAMPLE_ACTUATORS, EXAMPLE_CURRENT, example
 from baselines.tools.command_line import DONE, FAILED, UsageError, checked_folder, parse
-from baselines.tools.figure_style import styled, to_png
 from baselines.tools.files import write_atomically
 
 PROGRAM = "auv-gym identify"
-EXAMPLE_LAG = 0.4  # [s]
-EXAMPLE = Actuators(lag=EXAMPLE_LAG)
-"""Actuators of the vehicle in the example."""
-
 _LARGEST_ENSEMBLE = 1000  # vehicles in a scenario
 
 
@@ -77,13 +71,26 @@ class Options:
     """Folder for the results."""
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command with its arguments and return the exit status.
+class InputFiles(NamedTuple):
+    """What the options name: logs and vehicles."""
 
-    Raises:
-        UsageError: the arguments or the log are invalid.
-        OSError: a file cannot be read or written.
-    """
+    log: Log
+    held_out: Log | None
+    known: Mapping[str, float]  # values of known parameters
+    like: Vehicle | None  # vehicle that supplies what is not identified
+    actuators: Actuators | None  # of the same vehicle
+
+
+class Files(NamedTuple):
+    """The files of an identification."""
+
+    contents: Mapping[str, str | bytes]  # by name
+    note: str  # what is missing, "" for nothing
+    complete: bool  # whether there is a vehicle
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command; see `run` of `baselines.tools.command_line`."""
     options = parse(Options, arguments, PROGRAM)
     if not options.logs:
         raise UsageError("no LOG is given; name one file or more")
@@ -92,69 +99,84 @@ def main(arguments: Sequence[str]) -> int:
     if not 0 <= options.ensemble <= _LARGEST_ENSEMBLE:
         raise UsageError(f"--ensemble {options.ensemble} must be 0 to {_LARGEST_ENSEMBLE}")
     try:
-        like = None if options.like is None else as_vehicle(options.like)
-        form = None if options.format is None else Format.named(options.format)
-        log, *others = (
-            joined([Log.load(file, form) for file in files]) for files in (options.logs, options.holdout) if files
-        )
-        known = _known(options.known)
-        if options.still_water:
-            if current := [name for name in known if is_current(name)]:
-                raise ValueError(f"--still-water excludes --known {current[0]}")
-            known |= {name: 0.0 for name in names_of(log) if is_current(name)}
+        inputs = read(options)
         checked_folder(options.out)
-        found = identify(log, options.terms or None, not options.through_water, known)
-        result = held_out(found, others[0]) if others else None
+        identified = identify(inputs.log, options.terms or None, not options.through_water, inputs.known)
+        errors = None if inputs.held_out is None else held_out(identified, inputs.held_out)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    name = ", ".join(file.name for file in options.logs)
-    if found.misfit:
+    if identified.misfit:
         print(MISFIT)
-    for row in rows(found):
+    for row in rows(identified):
         print("  ".join(row))
-    vehicle, note = _vehicle(found, like)
-    actuators = None
-    if options.like is not None:
-        model = as_vehicle_model(options.like)
-        actuators = model.actuators if model else Actuators()
-    files = report_files(found, name, note)
-    try:
-        if vehicle is not None:
-            files["vehicle.toml"] = vehicle_text(found, vehicle, name, actuators)
-            several = found.ensemble(options.ensemble, like) if options.ensemble else []
-            files["scenario.toml"] = tomli_w.dumps(scenario(found, vehicle, actuators, several).to_dict())
-    except ValueError as error:
-        note = f"no {'scenario' if 'vehicle.toml' in files else 'vehicle'}.toml: {error}"
-    if result is not None:
-        names = ", ".join(file.name for file in options.holdout)
-        files["report.md"] = f"{files['report.md']!s}\n{section(result, names)}\n"
-        with styled():
-            files["held-out.png"] = to_png(drawing(result))
-        print(section(result, names).partition("\n\n")[2])
-    for file, content in files.items():
-        write_atomically(options.out / file, content)
-    written = [file for file in files if not file.endswith(".png")]
-    print(f"written: {', '.join(str(options.out / file) for file in written)}")
-    if note:
-        print(note)
-    return DONE if "vehicle.toml" in written else FAILED
+    if errors is not None:
+        print(held_out_text(errors, _names(options.holdout)))
+    files = written(identified, errors, inputs, options)
+    for name, content in files.contents.items():
+        write_atomically(options.out / name, content)
+    print(f"written: {', '.join(str(options.out / name) for name in files.contents if not name.endswith('.png'))}")
+    if files.note:
+        print(files.note)
+    return DONE if files.complete else FAILED
 
 
-def _known(given: Sequence[str]) -> dict[str, float]:
-    """Return the values of --known by name.
+def read(options: Options) -> InputFiles:
+    """Return what the options name.
 
     Raises:
-        UsageError: one of them is not NAME=VALUE.
+        ValueError: a log, a vehicle or a value of --known is invalid.
+        OSError: a file cannot be read.
     """
+    like, actuators = None, None
+    if options.like is not None:
+        like, model = as_vehicle(options.like), as_vehicle_model(options.like)
+        actuators = model.actuators if model else Actuators()
+    form = None if options.format is None else Format.named(options.format)
+    log = joined([Log.load(file, form) for file in options.logs])
+    new = joined([Log.load(file, form) for file in options.holdout]) if options.holdout else None
+    known = _known(options.known)
+    if options.still_water:
+        if current := [name for name in known if is_current(name)]:
+            raise ValueError(f"--still-water excludes --known {current[0]}")
+        known |= {name: 0.0 for name in names_of(log) if is_current(name)}
+    return InputFiles(log, new, known, like, actuators)
+
+
+def written(identified: Identified, errors: HeldOut | None, inputs: InputFiles, options: Options) -> Files:
+    """Return report.md with figures, and vehicle.toml and scenario.toml if the log shows enough for them."""
+    name = _names(options.logs)
+    tables: dict[str, str] = {}
+    note = f"not from the log: {', '.join(identified.unknown)}" if identified.unknown else ""
+    missing = "vehicle.toml"
+    try:
+        vehicle = identified.vehicle(inputs.like)
+        limits = limits_of(identified, inputs.actuators)
+        tables["vehicle.toml"] = vehicle_text(identified, vehicle, limits, name)
+        missing = "scenario.toml"
+        ensemble = identified.ensemble(options.ensemble, inputs.like) if options.ensemble else []
+        tables["scenario.toml"] = tomli_w.dumps(scenario(identified, vehicle, limits, ensemble).to_dict())
+    except ValueError as error:
+        hint = "; or name a vehicle by --like" if identified.unknown and inputs.like is None else ""
+        note = f"no {missing}: {error}{hint}"
+    report = report_files(identified, name, note, errors, _names(options.holdout))
+    return Files({**report, **tables}, note, "vehicle.toml" in tables)
+
+
+def _names(files: Sequence[Path]) -> str:
+    return ", ".join(file.name for file in files)
+
+
+def _known(words: Sequence[str]) -> dict[str, float]:
+    """Return the values of --known by name; raise ValueError if one of them is not NAME=VALUE."""
     known = {}
-    for text in given:
+    for text in words:
         name, _, value = text.partition("=")
         try:
             number = float(value)
         except ValueError:
             number = math.nan
         if name in known or not math.isfinite(number) or (name in NEEDED and number <= 0):
-            raise UsageError(
+            raise ValueError(
                 f"--known {text} must be NAME=VALUE, such as m11=250, once for each name, finite, and positive for "
                 "masses and linear drag"
             )
@@ -166,22 +188,12 @@ def _written_example(options: Options) -> int:
     """Write the log of a trial of the paper's vehicle with the sensors of the cruise presets."""
     if options.seed < 0:
         raise UsageError(f"--seed is {options.seed}; it must be 0 or more")
-    sensors = PRESETS["cruise-noise"].sensors
     file, *rest = options.logs
     if rest:
         raise UsageError(f"--example writes one log, not {len(options.logs)}")
     if file.exists():
         raise UsageError(f"{file} exists; --example does not replace a log, choose another file")
-    example(PAPER_VEHICLE, EXAMPLE, sensors, options.seed).save(file)
+    example(PAPER_VEHICLE, EXAMPLE_ACTUATORS, PRESETS["cruise-noise"].sensors, options.seed).save(file)
     V_x, V_y = EXAMPLE_CURRENT
     print(f"written: {file}, one minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")
     return DONE
-
-
-def _vehicle(found: Identified, like: Vehicle | None) -> tuple[Vehicle | None, str]:
-    """Return the vehicle and a note: why there is no vehicle, or which parameters are not from the log."""
-    try:
-        vehicle = found.vehicle(like)
-    except ValueError as error:
-        return None, f"no vehicle.toml: {error}{'; or name a vehicle by --like' if found.unknown else ''}"
-    return vehicle, f"not from the log: {', '.join(found.unknown)}" if found.unknown else ""

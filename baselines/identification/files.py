@@ -19,11 +19,18 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.steering import Stern
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.physics.wind import WindDrag
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.identification import Identified, ParameterEstimate
 from baselines.identification.fit import LEFT_OUT, UNKNOWN
-from baselines.identification.model import AHEAD, COEFFICIENTS, CURRENT_NAMES, LIMIT_NAMES, STERN_NAMES, load_of
+from baselines.identification.model import (
+    AHEAD,
+    COEFFICIENTS,
+    CURRENT_NAMES,
+    LIMIT_NAMES,
+    STERN_NAMES,
+    WindDrag,
+    load_of,
+)
 
 _TURN = 0.3  # turn rate of the scenario's paths, as a share of the root mean square yaw rate of the log
 
@@ -33,16 +40,16 @@ _INVALID = "; model misfit: they are not valid"
 @cache
 def meanings() -> dict[str, tuple[str, str]]:
     """Return unit and meaning of each parameter, by the comments beside the fields of the classes."""
-    found: dict[str, tuple[str, str]] = {}
+    texts: dict[str, tuple[str, str]] = {}
     for parts in (Vehicle, Stern, WindDrag):
         matches = re.finditer(
             r"^    (\w+): (?:float|Number).*?# \[(.*?)\] (.*)$", inspect.getsource(parts), re.MULTILINE
         )
-        found |= {m[1]: (m[2], m[3]) for m in matches}
-    found |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMIT_NAMES}
-    found |= dict.fromkeys(CURRENT_NAMES, ("m/s", "current during the log"))
-    found[AHEAD] = "m", "distance of the origin of the equations ahead of the measured point"
-    return found | {"lag": ("s", "time constant of both actuators")}
+        texts |= {m[1]: (m[2], m[3]) for m in matches}
+    texts |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMIT_NAMES}
+    texts |= dict.fromkeys(CURRENT_NAMES, ("m/s", "current during the log"))
+    texts[AHEAD] = "m", "distance of the origin of the equations ahead of the measured point"
+    return texts | {"lag": ("s", "time constant of both actuators")}
 
 
 def number(value: float) -> str:
@@ -59,71 +66,69 @@ def interval(estimate: ParameterEstimate) -> str:
     return f"{number(estimate.low)} ... {number(estimate.high)}"
 
 
-def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators | None = None) -> str:
+def vehicle_text(identified: Identified, vehicle: Vehicle, limits: tuple[float, float], log: str) -> str:
     """Return vehicle.toml, the file of a `auv_gym.scenarios.vehicles.VehicleModel`, with intervals as comments.
 
     Args:
-        found: the result of the identification.
+        identified: the result of the identification.
         vehicle: the fitted vehicle.
+        limits: of the actuators, see `limits_of`.
         log: name of the log.
+    """
+
+    def line(name: str, value: float, note: str) -> str:
+        return f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {note}"
+
+    kind, about = identified.model.log.kind, f"a vehicle fitted to the log {log}"
+    left_out = "rate limits, delay" if kind == "force" else "wind; in environments, drag of the rudder"
+    left_out += f"; not from the log: {', '.join(identified.unknown) or 'nothing'}"
+    lines = [
+        'name = "identified"',
+        f"about = {json.dumps(about, ensure_ascii=False)}",
+        f'source = "auv-gym identify; 95 % intervals stand behind the values{_INVALID if identified.misfit else ""}"',
+        f'left_out = "{left_out}"',
+        'assumed = "the speed, the mean of the log"',
+    ]
+    if identified["lag"].value > 0:
+        lines.append(line("lag", identified["lag"].value, interval(identified["lag"])))
+    lines.append("\n[vehicle]")
+    for name in COEFFICIENTS:
+        estimate, value = identified[name], getattr(vehicle, name)
+        if value or estimate.verdict not in (UNKNOWN, LEFT_OUT):
+            lines.append(line(name, value, "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)))
+    if vehicle.eps:
+        lines.append(line("eps", vehicle.eps, "m33 / (m22 arm)"))
+    lines += [line("speed", vehicle.speed, "mean of the log"), "\n[actuators]"]
+    peaks = np.abs(identified.model.log.commands).max(axis=0).tolist()
+    for name, limit, peak in zip(LIMIT_NAMES, limits, peaks, strict=True):
+        note = interval(identified[name]) if kind == "force" else "the largest of the log"
+        lines.append(line(name, limit, note if peak else "not from the log"))
+    if kind != "force":
+        shaft = ["[shaft]"]
+        most = zip(("n_max", "angle_max"), peaks, ("1/s", "rad"), strict=True)
+        shaft += [f"{name} = {peak:.6g}  # [{unit}] the largest of the log" for name, peak, unit in most if peak]
+        shaft += [line(name, identified[name].value, interval(identified[name])) for name in STERN_NAMES[kind]]
+        mark = "" if kind == "revolutions" else "# "  # a shaft needs a propeller curve
+        lines += ["", *(f"{mark}{text}" for text in shaft)]
+    return "\n".join(lines) + "\n"
+
+
+def limits_of(identified: Identified, like: Actuators | None = None) -> tuple[float, float]:
+    """Return the identified limits [N], [N m], or the largest commands if a limit was not reached.
+
+    Args:
+        identified: the result of the identification.
         like: actuators whose limits replace those that were never commanded.
 
     Raises:
         ValueError: an actuator was never commanded, and `like` is None.
     """
-    missing = ", ".join(found.unknown) or "nothing"
-    kind = found.model.log.kind
-    left_out = "rate limits, delay" if kind == "force" else "wind; in environments, drag of the rudder"
-    lines = [
-        'name = "identified"',
-        f"about = {_quoted(f'a vehicle fitted to the log {log}')}",
-        f'source = "auv-gym identify; 95 % intervals stand behind the values{_INVALID if found.misfit else ""}"',
-        f"left_out = {_quoted(f'{left_out}; not from the log: {missing}')}",
-        'assumed = "the speed, the mean of the log"',
-    ]
-    if found["lag"].value > 0:
-        lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
-    lines.append("\n[vehicle]")
-    for name in COEFFICIENTS:
-        estimate, value = found[name], getattr(vehicle, name)
-        note = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
-        if value or estimate.verdict not in (UNKNOWN, LEFT_OUT):
-            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {note}")
-    if vehicle.eps:
-        lines.append(f"eps = {float(f'{vehicle.eps:.6g}')!r}  # [m] m33 / (m22 arm)")
-    lines.append(f"speed = {vehicle.speed:.6g}  # [m/s]")
-    lines.append("\n[actuators]")
-    peaks = np.abs(found.model.log.commands).max(axis=0).tolist()
-    for name, limit, peak in zip(LIMIT_NAMES, _limits(found, like), peaks, strict=True):
-        note = interval(found[name]) if kind == "force" else "the largest of the log"
-        lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {note if peak else 'not from the log'}")
-    if kind != "force":
-        mark = "" if kind == "revolutions" else "# "  # a shaft needs a propeller curve
-        lines.append(f"\n{mark}[shaft]")
-        most = zip(("n_max", "angle_max"), peaks, ("1/s", "rad"), strict=True)
-        lines += [f"{mark}{name} = {peak:.6g}  # [{unit}] the largest of the log" for name, peak, unit in most if peak]
-        estimates = [found[name] for name in STERN_NAMES[kind]]
-        lines += [f"{mark}{e.name} = {e.value:.6g}  # [{meanings()[e.name][0]}] {interval(e)}" for e in estimates]
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """Return a text as a TOML string."""
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _limits(found: Identified, like: Actuators | None = None) -> tuple[float, float]:
-    """Return the identified limits [N], [N m], or the largest commands if a limit was not reached.
-
-    Raises:
-        ValueError: an actuator was never commanded, and `like` is None.
-    """
-    log = found.model.log
+    log = identified.model.log
     if log.kind == "force":
         peaks = np.abs(log.commands).max(axis=0).tolist()
-        F_u, F_r = (min(found[name].value, peak) for name, peak in zip(LIMIT_NAMES, peaks, strict=True))
+        F_u, F_r = (min(identified[name].value, peak) for name, peak in zip(LIMIT_NAMES, peaks, strict=True))
     else:
-        values = dict(zip(found.model.names, found.values, strict=True))
+        values = dict(zip(identified.model.names, identified.values, strict=True))
         X, _, N = load_of(log.kind, log.commands.T, tuple(log.measured.T), values, ARRAYS)
         F_u, F_r = float(np.abs(X).max()), float(np.abs(N).max())
     for name, limit in zip(LIMIT_NAMES, (F_u, F_r), strict=True):
@@ -133,28 +138,27 @@ def _limits(found: Identified, like: Actuators | None = None) -> tuple[float, fl
 
 
 def scenario(
-    found: Identified, vehicle: Vehicle, like: Actuators | None = None, ensemble: Sequence[Vehicle] = ()
+    identified: Identified, vehicle: Vehicle, limits: tuple[float, float], ensemble: Sequence[Vehicle] = ()
 ) -> Scenario:
     """Return a scenario with the vehicle, its actuators and sensors, and paths with the speeds and turns of the log.
 
     Args:
-        found: the result of the identification.
+        identified: the result of the identification.
         vehicle: the fitted vehicle.
-        like: actuators whose limits replace those that were never commanded.
+        limits: of the actuators, see `limits_of`.
         ensemble: vehicles from which the true vehicle of each episode is drawn; empty: always the fitted one.
 
     Raises:
-        ValueError: a limit or a speed is outside the range of scenarios, or a limit is not known.
+        ValueError: a limit or a speed is outside the range of scenarios.
     """
-    F_u_max, F_r_max = _limits(found, like)
-    speed = vehicle.speed
-    turn = _TURN * float(np.sqrt(np.mean(found.model.log.measured[:, 5] ** 2)))
-    x, y, psi, u, v, r = found.noise.tolist()
+    (F_u_max, F_r_max), speed = limits, vehicle.speed
+    turn = _TURN * float(np.sqrt(np.mean(identified.model.log.measured[:, 5] ** 2)))
+    x, y, psi, u, v, r = identified.noise.tolist()
     parts: dict[str, Any] = {
         "name": "identified",
         "path": RandomPath(speed=(0.5 * speed, speed), turn_rate=turn),
         "vehicle": vehicle,
-        "actuators": Actuators(F_u_max, F_r_max, lag=found["lag"].value),
+        "actuators": Actuators(F_u_max, F_r_max, lag=identified["lag"].value),
         "sensors": Sensors(max(x, y), psi, max(u, v), r),
         "steps": 600,
     }

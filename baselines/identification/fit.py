@@ -11,24 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.vehicle import SIGNED_PARAMETERS, Vehicle
+from auv_gym.physics.vehicle import Vehicle
 from baselines.identification.initial_values import (
-    DEFAULT_TERMS,
     EVIDENCE,
     FIRST_SEGMENT,
-    NEEDED,
     NO_INITIAL_VALUES,
-    OPTIONAL,
     initial_values,
     segment_length,
     segment_starts,
-    substeps_for,
+    substeps_of_log,
 )
 from baselines.identification.least_squares import InitialValues, Residuals, fit, measured_states
-from baselines.identification.log import Log, unwrapped
-from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, LIMIT_NAMES, LogModel, is_current, names_of
-from baselines.identification.shaft_initial_values import NOT_NEGATIVE_STERN
-from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, estimated_noise, rough_noise, whiteness
+from baselines.identification.log import Log, rough_noise
+from baselines.identification.model import (
+    COEFFICIENTS,
+    CROSS_TERMS,
+    LIMIT_NAMES,
+    NEEDED,
+    NOT_NEGATIVE,
+    OPTIONAL,
+    LogModel,
+    is_current,
+    names_of,
+)
+from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, estimated_noise, whiteness
 
 # Verdicts on parameters:
 IDENTIFIED = "identified"  # it has a value with an interval
@@ -39,10 +45,10 @@ UNREACHED = "not reached"  # a limit above all commands
 UNKNOWN = "not identified"  # the log has too little information on it
 KNOWN = "given"  # its value was given
 LEFT_OUT = "left out"  # an optional term that was not requested
-KEPT = (*NEEDED, "T_nn", "side")
-"""Names of the parameters that are never dropped."""
-NOT_NEGATIVE = frozenset((*COEFFICIENTS, *LIMIT_NAMES, *NOT_NEGATIVE_STERN, "lag")) - set(SIGNED_PARAMETERS)
-"""Names of the parameters that cannot be negative."""
+NEVER_DROPPED = (*NEEDED, "T_nn", "side")
+"""Names of the parameters without which there is no vehicle."""
+DEFAULT_TERMS = tuple(name for name in OPTIONAL if name not in CROSS_TERMS)
+"""Names of the optional coefficients that are fitted first to a log of forces."""
 
 LONGER = 4  # factor on the length of segments from fit to fit
 SIGNIFICANCE = 1e-4  # `Identified.whiteness` below which there is a model misfit
@@ -83,26 +89,21 @@ class Identified:
     def refitted_without(self, rows: NDArray[np.bool_]) -> Array:
         """Return the values of all parameters, shape (P,), after a fit that ignores some rows, shape (T,)."""
         initial = replace(self.initial, values=self.values, free=self.free)
-        constraints = initial.constraints(self.model.names)
-        return fit(self.model, initial, self.states, self.noise, constraints, ~rows)[0]
-
-    @property
-    def predicted(self) -> Array:
-        """The predicted measurements, shape (T, 6)."""
-        return unwrapped(self.model.log) - self.errors
+        return fit(self.model, initial, self.states, self.noise, ~rows)[0]
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """The names of the parameters that a vehicle needs and that are not identified."""
         return tuple(name for name in NEEDED if self[name].verdict == UNKNOWN)
 
-    def vehicle(self, like: Vehicle | None = None) -> Vehicle:
+    def vehicle(self, like: Vehicle | None = None, changed: Mapping[str, float] | None = None) -> Vehicle:
         """Return the vehicle; its design speed is the mean speed of the log.
 
         With a rudder its tracked point is the centre of percussion of the rudder's side force.
 
         Args:
             like: vehicle from which parameters are taken that are not identified.
+            changed: other values of some parameters, by name.
 
         Raises:
             ValueError: a parameter is not identified and `like` is None, or the values are not those of a vehicle.
@@ -111,18 +112,13 @@ class Identified:
             turns = any(name[-1] in "23vr" for name in self.unknown)
             manoeuvre = "a zig-zag or a turning circle under way" if turns else "steps of the surge force"
             raise ValueError(f"the log does not show {', '.join(self.unknown)}; {manoeuvre} would")
-        return self._vehicle(like, {})
-
-    def _vehicle(self, like: Vehicle | None, changed: Mapping[str, float]) -> Vehicle:
-        """Return the vehicle with changed values of some parameters, by name."""
-        values = {name: changed.get(name, self[name].value) for name in COEFFICIENTS}
-        for name, value in values.items():
-            if math.isnan(value):
+        values = {"arm": math.inf} | {e.name: e.value for e in self.estimates} | dict(changed or {})
+        for name in COEFFICIENTS:
+            if math.isnan(values[name]):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
-            else:
-                values[name] = float(f"{value:.9g}")  # short numbers in error messages
-        arm = changed.get("arm", self["arm"].value) if "arm" in self.model.names else math.inf
-        return Vehicle(**values, speed=self.speed, eps=values["m33"] / (values["m22"] * arm))
+        short = {name: float(f"{values[name]:.9g}") for name in COEFFICIENTS}  # short numbers in error messages
+        speed = float(np.abs(self.model.log.measured[:, 3]).mean())
+        return Vehicle(**short, speed=speed, eps=short["m33"] / (short["m22"] * values["arm"]))
 
     def ensemble(self, size: int, like: Vehicle | None = None, seed: int = 0) -> list[Vehicle]:
         """Return vehicles that are drawn from the normal distribution of the fit.
@@ -141,29 +137,20 @@ class Identified:
         vehicles: list[Vehicle] = []
         for drawn in rng.multivariate_normal(self.values[free], self.covariance, 10 * size, method="eigh"):
             with suppress(ValueError):
-                vehicles.append(self._vehicle(like, dict(zip(self.free, drawn.tolist(), strict=True))))
+                vehicles.append(self.vehicle(like, dict(zip(self.free, drawn.tolist(), strict=True))))
             if len(vehicles) == size:
                 return vehicles
-        raise ValueError(
-            f"{len(vehicles)} of {10 * size} draws from the fit are possible vehicles: the log shows too little"
-        )
+        possible = f"{len(vehicles)} of {10 * size} draws from the fit"
+        raise ValueError(f"{possible} are possible vehicles: the log shows too little")
 
     @property
     def misfit(self) -> bool:
         """Whether the model does not explain the log; its intervals are then not valid."""
         return self.whiteness < SIGNIFICANCE
 
-    @property
-    def speed(self) -> float:
-        """The mean surge speed [m/s] of the log."""
-        return float(np.abs(self.model.log.measured[:, 3]).mean())
-
 
 def identify(
-    log: Log,
-    terms: Sequence[str] | None = None,
-    over_ground: bool = True,
-    known: Mapping[str, float] | None = None,
+    log: Log, terms: Sequence[str] | None = None, over_ground: bool = True, known: Mapping[str, float] | None = None
 ) -> Identified:
     """Return the vehicle model with the least squared prediction errors on a log.
 
@@ -191,7 +178,7 @@ def identify(
     last: _BackwardElimination | None = None
     while True:  # the fit of short segments gives initial values for longer ones
         starts = segment_starts(log, min(rows * log.dt, length))
-        model = LogModel(log, starts, substeps_for(log, initial.values), over_ground)
+        model = LogModel(log, starts, substeps_of_log(log, initial.values), over_ground)
         try:
             following = _BackwardElimination(model, initial, known, candidates)
         except ValueError:
@@ -204,18 +191,18 @@ def identify(
         rows *= LONGER
     if last is None:
         raise ValueError(NO_INITIAL_VALUES)
-    found = last.run()
+    result = last.run()
     if initial.prior is not None:
-        without_prior = replace(initial, values=found.values, prior=None)
+        without_prior = replace(initial, values=result.values, prior=None)
         refit = _BackwardElimination(last.model, without_prior, known, candidates)
-        found = refit.run() if refit.explains() else found
-    if found.misfit and terms is None and log.kind == "force":
+        result = refit.run() if refit.explains() else result
+    if result.misfit and terms is None and log.kind == "force":
         more = [name for name in CROSS_TERMS if name not in initial.free and initial.shares[name] > 0]
         crossed = replace(initial, free=(*initial.free, *more))
         other = _BackwardElimination(last.model, crossed, known, (*candidates, *CROSS_TERMS)).run()
-        gain = len(log.t) * float(np.sum(np.log(found.noise / other.noise)))
-        found = other if gain > EVIDENCE else found
-    return found
+        gain = len(log.t) * float(np.sum(np.log(result.noise / other.noise)))
+        result = other if gain > EVIDENCE else result
+    return result
 
 
 class _BackwardElimination:
@@ -224,10 +211,10 @@ class _BackwardElimination:
     def __init__(
         self, model: LogModel, initial: InitialValues, known: Mapping[str, float], terms: Sequence[str]
     ) -> None:
-        self.model, self.initial, self.known, self.terms, self.kept = model, initial, known, terms, set(KEPT)
+        self.model, self.initial, self.known, self.terms = model, initial, known, terms
+        self.protected = set(NEVER_DROPPED)
         self.index = {name: i for i, name in enumerate(model.names)}
         self.peaks = dict(zip(LIMIT_NAMES, np.abs(model.log.commands).max(axis=0).tolist(), strict=True))
-        self.constraints = initial.constraints(model.names)
         self.free, self.noise = list(initial.free), rough_noise(model.log)
         self.dropped: dict[str, ParameterEstimate] = {}
         self.states = measured_states(model)
@@ -235,15 +222,11 @@ class _BackwardElimination:
         limits = [name in LIMIT_NAMES and name in self.free for name in model.names]
         below = np.where(limits, 0.999, 1.0)  # limits above the largest command have no effect
         self.values, self.residuals = self._fit(np.clip(initial.values, low, high * below))
-
-    @property
-    def mean_square(self) -> float:
-        """Mean squared error, in variances of the noise."""
-        return float(np.mean(self.residuals.errors**2))
+        self.mean_square = float(np.mean(self.residuals.errors**2))  # of the first fit, in variances of the noise
 
     def _fit(self, values: Array) -> tuple[Array, Residuals]:
         initial = replace(self.initial, values=values, free=tuple(self.free))
-        return fit(self.model, initial, self.states, self.noise, self.constraints)
+        return fit(self.model, initial, self.states, self.noise)
 
     def _refit(self) -> None:
         """Fit again from the present values, with the noise of the last fit."""
@@ -262,8 +245,13 @@ class _BackwardElimination:
         """Return the fit in which all optional parameters differ significantly from 0; with a prior none is dropped."""
         self._refit()
         self._refit()
-        while self.initial.prior is None and (name := self._least_certain()) is not None:
-            self._drop(name)
+        while self.initial.prior is None:
+            candidates = [name for name in self.free if name not in self.protected and not is_current(name)]
+            certainties = {name: self._certainty(name) for name in candidates}
+            least = min(candidates, key=certainties.__getitem__, default=None)
+            if least is None or certainties[least] >= NORMAL_QUANTILE:
+                break
+            self._drop(least)
         return Identified(
             self.model,
             tuple(map(self._estimate, self.model.names)),
@@ -276,13 +264,6 @@ class _BackwardElimination:
             self.states,
             self.whiteness,
         )
-
-    def _least_certain(self) -> str | None:
-        """Return the name of the parameter that is to be dropped, None if there is none."""
-        candidates = [name for name in self.free if name not in self.kept and not is_current(name)]
-        certainties = {name: self._certainty(name) for name in candidates}
-        least = min(certainties, key=lambda name: certainties[name], default=None)
-        return least if least is not None and certainties[least] < NORMAL_QUANTILE else None
 
     def _certainty(self, name: str) -> float:
         """Return the difference of a parameter from its value without effect, in standard deviations."""
@@ -301,19 +282,19 @@ class _BackwardElimination:
     def _drop(self, name: str) -> None:
         """Fit without a parameter, or keep it if the prediction without it diverges."""
         estimate, values, free = self._free_estimate(name), self.values.copy(), list(self.free)
-        if name in LIMIT_NAMES:
+        at, limit = self.index[name], name in LIMIT_NAMES
+        if limit:
             low = min(estimate.low, self.peaks[name])
             estimate = replace(estimate, value=math.inf, low=low, high=math.inf, verdict=UNREACHED)
-            self.values[self.index[name]] = self.initial.bounds[1][self.index[name]]
         else:
             estimate = replace(estimate, value=0.0, verdict=ZERO)
-            self.values[self.index[name]] = 0.0
+        self.values[at] = self.initial.bounds[1][at] if limit else 0.0
         self.free.remove(name)
         try:
             self._refit()
         except ValueError:
             self.values, self.free = values, free
-            self.kept.add(name)
+            self.protected.add(name)
         else:
             self.dropped[name] = estimate
 
@@ -324,10 +305,11 @@ class _BackwardElimination:
         if name in NOT_NEGATIVE:
             low, high = max(low, 0.0), max(high, 0.0)
         verdict = IDENTIFIED if self.whiteness >= SIGNIFICANCE else FITTED
-        if name in COEFFICIENTS and half > abs(value) and half * self.initial.shares[name] > 1:
-            verdict = UNKNOWN
-        elif self.initial.prior is not None and name not in KEPT and not is_current(name) and half > abs(value):
-            verdict = SMALL
+        if half > abs(value):
+            if name in COEFFICIENTS and half * self.initial.shares[name] > 1:
+                verdict = UNKNOWN
+            elif self.initial.prior is not None and name not in NEVER_DROPPED and not is_current(name):
+                verdict = SMALL
         return ParameterEstimate(name, value, low, high, verdict)
 
     def _estimate(self, name: str) -> ParameterEstimate:
@@ -336,11 +318,9 @@ class _BackwardElimination:
             return replace(estimate, value=math.nan) if estimate.verdict == UNKNOWN else estimate
         if name in self.dropped:
             return self.dropped[name]
-        if name in LIMIT_NAMES:
+        if name in LIMIT_NAMES and name not in self.known:
             return ParameterEstimate(name, math.inf, self.peaks[name], math.inf, UNREACHED)
-        if name in self.known:
-            value = float(self.values[self.index[name]])
-            return ParameterEstimate(name, value, value, value, KNOWN)
-        if name in OPTIONAL and name not in self.terms:
-            return ParameterEstimate(name, 0.0, 0.0, 0.0, LEFT_OUT)
+        if name in self.known or (name in OPTIONAL and name not in self.terms):
+            value, verdict = float(self.values[self.index[name]]), KNOWN if name in self.known else LEFT_OUT
+            return ParameterEstimate(name, value, value, value, verdict)
         return ParameterEstimate(name, math.nan, -math.inf, math.inf, UNKNOWN)

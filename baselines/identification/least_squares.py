@@ -22,7 +22,7 @@ from baselines.identification.log import MEASURED_COLUMNS, slices, unwrapped
 from baselines.identification.model import CROSS_TERMS, LOG_STATES, LogModel
 
 INNER = 4  # Gauss-Newton steps to the best initial states
-DIVERGED = 1e60  # [standard deviations] error from which a prediction counts as divergent
+DIVERGENT_ERROR = 1e60  # [standard deviations] error from which a prediction counts as divergent
 MAX_EVALUATIONS = 30  # of a fit
 PENALTY = 1e3  # [standard deviations] residual of a constraint that is violated by 1
 LEAST_CONSTRAINT = 0.02  # least value of a linear constraint
@@ -41,14 +41,14 @@ class InitialValues:
     shares: Mapping[str, float]  # force per unit of a coefficient, as a share of all forces
     prior: Array | None = None  # standard deviations of a normal prior with mean 0, shape (P,); infinite: no prior
 
-    def constraints(self, names: Sequence[str]) -> Array | None:
-        """Return linear constraints by which quadratic damping is dissipative, None if no cross term is free.
+    def constraints(self, names: Sequence[str]) -> Array:
+        """Return linear forms of the parameters `names`, shape (K, P), that are negative where damping adds power.
 
-        The rows are linear forms of the parameters `names`, shape (K, P), see `CrossTerms.slopes`. They are negative
-        where the damping adds power. In their units the scales of Y_vv and N_rr are 1.
+        They are those of `CrossTerms.slopes`, in units in which the scales of Y_vv and N_rr are 1. Without a free cross
+        term there are none.
         """
         if not set(CROSS_TERMS) & set(self.free):
-            return None
+            return np.zeros((0, len(names)))
         at = {name: names.index(name) for name in (*CROSS_TERMS, "Y_vv", "N_rr")}
         unit = np.cbrt(self.scales[at["N_rr"]] / self.scales[at["Y_vv"]])
         rows = np.eye(len(names))
@@ -76,14 +76,10 @@ def measured_states(model: LogModel) -> Array:
 
 
 def residuals(model: LogModel, values: Array, free: Indices, states: Array, noise: Array) -> Residuals | None:
-    """Return the residuals of given parameters with the best initial states, None if the prediction diverges.
+    """Return the residuals of parameters, shape (P,), with the best initial states, None if the prediction diverges.
 
-    Args:
-        model: the simulator with the commands of a log.
-        values: values of `model.names`, shape (P,).
-        free: positions of the parameters for which derivatives are computed, shape (F,).
-        states: first guess of the initial states, shape (S, 6).
-        noise: standard deviations of the measurements, shape (6,).
+    Derivatives are those by the parameters at the positions `free`. `states` are a first guess of the initial states,
+    shape (S, 6), and `noise` the standard deviations of the measurements, shape (6,).
     """
     measured, segments = unwrapped(model.log), slices(model.starts, len(model.log.t))
     best, changes, least = states, np.zeros_like(states), np.full(len(segments), np.inf)
@@ -100,7 +96,7 @@ def residuals(model: LogModel, values: Array, free: Indices, states: Array, nois
             best, least = np.where(better[:, None], trial, best), np.where(better, squares, least)
             share = np.where(better, 1.0, 0.25 * share)  # a shorter step if the errors have increased
             changes = np.where(better[:, None], _state_changes(by_state, errors, segments), changes)
-    if not all(np.abs(x).max(initial=0.0) < DIVERGED for x in (errors, slopes, by_state)):  # false for nan too
+    if not all(np.abs(x).max(initial=0.0) < DIVERGENT_ERROR for x in (errors, slopes, by_state)):  # false for nan too
         return None
     for part in segments:
         basis, _ = np.linalg.qr(by_state[part].reshape(-1, LOG_STATES))
@@ -114,18 +110,13 @@ def _state_changes(by_state: Array, errors: Array, segments: Sequence[slice]) ->
     """Return the Gauss-Newton steps of the initial states, shape (S, 6); 0 where a prediction diverges."""
     steps = np.zeros((len(segments), LOG_STATES))
     for i, part in enumerate(segments):
-        if np.abs(by_state[part]).max() < DIVERGED and np.abs(errors[part]).max() < DIVERGED:
+        if np.abs(by_state[part]).max() < DIVERGENT_ERROR and np.abs(errors[part]).max() < DIVERGENT_ERROR:
             steps[i] = np.linalg.lstsq(by_state[part].reshape(-1, LOG_STATES), errors[part].ravel(), rcond=None)[0]
     return steps
 
 
 def fit(
-    model: LogModel,
-    initial: InitialValues,
-    states: Array,
-    noise: Array,
-    constraints: Array | None = None,
-    used: NDArray[np.bool_] | None = None,
+    model: LogModel, initial: InitialValues, states: Array, noise: Array, used: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Residuals]:
     """Return the parameters with the least squared prediction errors, shape (P,), and their residuals.
 
@@ -134,7 +125,6 @@ def fit(
         initial: initial values of the parameters, within the bounds.
         states: first guess of the initial states, shape (S, 6).
         noise: standard deviations of the measurements, shape (6,).
-        constraints: linear forms of the parameters that must be at least `LEAST_CONSTRAINT`, shape (K, P); None: none.
         used: the rows that count, shape (T,); None: all.
 
     Raises:
@@ -142,7 +132,7 @@ def fit(
     """
     free = model.indices(initial.free)
     scales = initial.scales[free]
-    forms = np.zeros((0, len(initial.values))) if constraints is None else constraints
+    forms = initial.constraints(model.names)
     weights = np.zeros(len(free)) if initial.prior is None else scales / initial.prior[free]
     cache: dict[bytes, Residuals | None] = {}
     least, best_states = math.inf, states
@@ -155,11 +145,11 @@ def fit(
     def residuals_at(x: Array) -> Residuals | None:
         nonlocal least, best_states
         if (key := x.tobytes()) not in cache:
-            cache[key] = found = residuals(model, parameters(x), free, best_states, noise)
-            if found is not None and used is not None:
-                found.errors[~used] = found.slopes[~used] = 0.0
-            if found is not None and (cost := float(np.sum(found.errors**2))) < least:
-                least, best_states = cost, found.states
+            cache[key] = result = residuals(model, parameters(x), free, best_states, noise)
+            if result is not None and used is not None:
+                result.errors[~used] = result.slopes[~used] = 0.0
+            if result is not None and (cost := float(np.sum(result.errors**2))) < least:
+                least, best_states = cost, result.states
                 for other in cache.keys() - {key}:
                     del cache[other]
         return cache[key]
@@ -168,15 +158,15 @@ def fit(
         return np.asarray(np.minimum(forms @ parameters(x) - LEAST_CONSTRAINT, 0.0))
 
     def errors(x: Array) -> Array:
-        found = residuals_at(x)
-        flat = np.full(len(model.log.t) * len(MEASURED_COLUMNS), np.inf) if found is None else found.errors.ravel()
+        result = residuals_at(x)
+        flat = np.full(len(model.log.t) * len(MEASURED_COLUMNS), np.inf) if result is None else result.errors.ravel()
         return np.concatenate((flat, PENALTY * violations(x), weights * x))
 
     def slopes(x: Array) -> Array:
-        found = residuals_at(x)
-        assert found is not None
+        result = residuals_at(x)
+        assert result is not None
         penalties = np.where(violations(x)[:, None] < 0, PENALTY * forms[:, free], 0.0)
-        by_parameter = np.concatenate((found.slopes.reshape(-1, len(free)), penalties)) * scales
+        by_parameter = np.concatenate((result.slopes.reshape(-1, len(free)), penalties)) * scales
         return np.concatenate((by_parameter, np.diag(weights)))
 
     low, high = (bound[free] / scales for bound in initial.bounds)

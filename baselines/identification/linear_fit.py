@@ -20,13 +20,17 @@ from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
 from baselines.identification.log import Log
-from baselines.identification.model import COEFFICIENTS
+from baselines.identification.model import COEFFICIENTS, NEEDED
 
 _LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidate lags, in time steps
 _LIMIT_SHARES = (1.0, 0.8, 0.6, 0.4)  # candidate limits, as shares of the largest command
-WINDOWS = (5, 11, 21, 41)  # candidate lengths of the smoothing [rows]; the best one depends on vehicle and noise
-LEAST_GAIN = 0.03
-"""Least decrease of the logarithm of the residual for which another lag or limit is accepted."""
+SMOOTHING_LENGTHS = (
+    5,
+    11,
+    21,
+    41,
+)  # candidate lengths of the smoothing [rows]; the best one depends on vehicle and noise
+LEAST_GAIN = 0.03  # least decrease of the logarithm of the residual for which another lag or limit is accepted
 
 
 @dataclass(frozen=True)
@@ -62,25 +66,20 @@ def regressors(speeds: Array, accelerations: Array) -> Array:
     return terms.reshape(3, len(COEFFICIENTS), -1)
 
 
-def linear_fit(log: Log, needed: Sequence[str], window: int) -> LinearFit:
-    """Return the coefficients by linear least squares, with the best one of several lags and limits.
+def linear_fit(log: Log, window: int) -> LinearFit:
+    """Return masses and linear drags by linear least squares, with the best one of several lags and limits.
 
-    Args:
-        log: the log of forces.
-        needed: names of the coefficients that are fitted; the others are 0.
-        window: number of rows of the smoothing.
+    `window` is the number of rows of the smoothing of the log, which has commands of forces.
     """
     terms = regressors(*smoothed(log, window))
-    columns = [COEFFICIENTS.index(name) for name in needed]
+    columns = [COEFFICIENTS.index(name) for name in NEEDED]
     best: tuple[float, Array, float, Array] | None = None
     peaks = np.abs(log.commands).max(axis=0)
     for lag, *shares in product(_LAGS, _LIMIT_SHARES, _LIMIT_SHARES):
         if any(share < 1 and peak == 0 for share, peak in zip(shares, peaks, strict=True)):
             continue
         limits = np.where(peaks > 0, peaks * shares, math.inf)
-        force = _forces(log, lag * log.dt, limits)
-        load = np.stack((force[0], np.zeros_like(force[0]), force[1]))
-        residual, values = _non_negative_fit(terms[:, columns], load)
+        residual, values = _non_negative_fit(terms[:, columns], _loads(log, lag * log.dt, limits))
         if best is None or residual < best[0] - LEAST_GAIN:
             best = residual, values, lag * log.dt, limits
     assert best is not None
@@ -90,16 +89,16 @@ def linear_fit(log: Log, needed: Sequence[str], window: int) -> LinearFit:
     return LinearFit(coefficients, best[2], best[3], force_shares(terms, coefficients))
 
 
-def _forces(log: Log, lag: float, limits: Array) -> Array:
-    """Return the mean force [N] and moment [N m] of the actuators from each row to the next, shape (2, T)."""
-    commands = np.clip(log.commands, -limits, limits)
+def _loads(log: Log, lag: float, limits: Array) -> Array:
+    """Return the mean force [N], no sway force and the mean moment [N m] from each row to the next, shape (3, T)."""
+    commands, loads = np.clip(log.commands, -limits, limits), np.zeros((3, len(log.t)))
     if lag == 0:
-        return commands.T
+        loads[::2] = commands.T
+        return loads
     response, force = Response.of(lag, math.inf, math.inf, log.dt), tuple(commands[0])
-    acting = np.empty((2, len(log.t)))
     for k, command in enumerate(commands.tolist()):
-        acting[:, k], force = respond(force, tuple(command), response, ARRAYS)
-    return acting
+        loads[::2, k], force = respond(force, tuple(command), response, ARRAYS)
+    return loads
 
 
 def smoothed(log: Log, window: int) -> tuple[Array, Array]:

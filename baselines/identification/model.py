@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,14 +21,30 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import Load, State, rk4_step
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import Array, Indices
+from auv_gym.physics.namespaces import Array, Indices, Number
 from auv_gym.physics.steering import Stern, stern_load, thrust
-from auv_gym.physics.vehicle import Coefficients, CrossTerms
-from auv_gym.physics.wind import WindDrag, wind_load
+from auv_gym.physics.vehicle import SIGNED_PARAMETERS, Coefficients, CrossTerms, Vehicle
 from baselines.identification.log import Log
+
+
+class WindDrag(NamedTuple):
+    """Coefficients of the force of the wind on the part of a vessel above the water; half the air's density is in them.
+
+    They are floats, or rows of shape (N,).
+    """
+
+    X_air: Number  # [kg/m] surge force, about 0.6 kg/m^3 times the frontal area and its drag coefficient
+    Y_air: Number  # [kg/m] sway force, the same of the lateral area
+    N_air: Number  # [kg] yaw moment of a wind from the side: Y_air times how far ahead its force acts
+    N_turn: Number  # [kg] yaw moment of a wind from ahead or astern of the side, positive where it turns across
+
 
 CROSS_TERMS = CrossTerms._fields[:9]  # names of the quadratic cross terms of damping that are fitted
 COEFFICIENTS = (*Coefficients._fields, *CROSS_TERMS)  # names of the parameters of the vehicle
+NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in COEFFICIENTS and f.default is MISSING)
+"""Names of the coefficients that every vehicle has."""
+OPTIONAL = tuple(name for name in COEFFICIENTS if name not in NEEDED)
+"""Names of the coefficients that are 0 unless they differ significantly from 0."""
 LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators of forces
 STERN_NAMES: Mapping[str, tuple[str, ...]] = {
     "force": (),
@@ -37,8 +53,13 @@ STERN_NAMES: Mapping[str, tuple[str, ...]] = {
 }
 """Names of the parameters of propeller and rudder, by the kind of the commands."""
 WIND_NAMES = WindDrag._fields  # names of the parameters of the wind force
+NOT_NEGATIVE = frozenset(
+    (*COEFFICIENTS, *LIMIT_NAMES, "T_nn", "side", "drag", "wash", "wake", "straight", "X_air", "Y_air", "lag")
+) - set(SIGNED_PARAMETERS)
+"""Names of the parameters that cannot be negative."""
 AHEAD = "ahead"  # [m] distance of the origin of the equations ahead of the measured point
 CURRENT_NAMES = ("V_x", "V_y")  # [m/s] in the world, constant in a run
+PREDICTION_TIME = 60.0  # [s] of a prediction of a vessel with propeller and rudder
 LOG_STATES = 6  # number of states of a `dynamics.State`
 _PLANT = LOG_STATES + 2  # the same with the forces of the actuators
 _INPUTS = 13  # number of inputs of a time step, without the initial state of a segment
@@ -132,6 +153,22 @@ def load_of(
     return X, Y, N
 
 
+def wind_load(u: Number, v: Number, drag: WindDrag, ns: Any = math) -> Load:
+    """Return surge force [N], sway force [N] and yaw moment [N m] of the wind.
+
+    With the angle of attack of the relative wind they go as cosine, sine, and sine and sine of twice the angle (T. I.
+    Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, section 10.1).
+
+    Args:
+        u: surge velocity of the vessel through the air [m/s].
+        v: its sway velocity through the air [m/s].
+        drag: the coefficients.
+        ns: the namespace of the numbers.
+    """
+    speed = ns.sqrt(u * u + v * v + 1e-12)  # has a slope at rest
+    return -drag.X_air * speed * u, -drag.Y_air * speed * v, -(drag.N_air * speed + drag.N_turn * u) * v
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Predicted measurements of a log, with their derivatives."""
@@ -197,12 +234,11 @@ class LogModel:
         results = kernel(T, plant=rest, tangent=rest, inputs=inputs, values=values[:shared], seed=seed)
         change = results["change"]
         by_value = np.zeros((T, LOG_STATES, len(free)))
+        columns = {j: LOG_STATES + i for i, j in enumerate(chosen)} | {len(values) - 1: -1}
         for i, j in enumerate(free.tolist()):
-            if j < shared:
-                by_value[:, :, i] = change[:, :, LOG_STATES + chosen.index(j)]
-            elif j == len(values) - 1:
-                by_value[:, :, i] = change[:, :, -1]
-            else:
+            if j in columns:
+                by_value[:, :, i] = change[:, :, columns[j]]
+            else:  # the current of a run
                 run, axis = divmod(j - shared, 2)
                 by_value[log.runs[run], :, i] = change[log.runs[run], :, axis - 3]
         return Prediction(results["outputs"][:, :, 0], change[:, :, :LOG_STATES], by_value)

@@ -31,6 +31,8 @@ SEGMENTS: tuple[Segment, ...] = (
 """The trial of one minute. A zig-zag reverses the rudder whenever the heading has changed by the given angle."""
 
 EXAMPLE_CURRENT: CurrentVelocity = (0.12, -0.08)  # [m/s] of the example
+EXAMPLE_ACTUATORS = Actuators(lag=0.4)
+"""Actuators of the vehicle in the example."""
 FINER = 5  # integration steps of the simulated vehicle per row, more than in the fit
 
 PlantStep = Callable[[State, Force, float], State]
@@ -68,34 +70,30 @@ class Trial:
         return surge * self.F_u_max, self._side * yaw * self.F_r_max
 
 
+@dataclass
 class Simulated:
     """A simulated vehicle with its actuators in a current [m/s], as a `PlantStep`.
 
-    With a finite `arm` [m] the yaw moment is caused by a side force at this distance behind the origin.
-
-    Raises:
-        ValueError: the lag is not a number.
+    With a finite `arm` [m] the yaw moment is caused by a side force at this distance behind the origin. The lag of the
+    actuators must be a number.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, actuators: Actuators, current: CurrentVelocity = STILL_WATER, arm: float = math.inf
-    ) -> None:
-        if isinstance(actuators.lag, tuple):
-            raise ValueError(f"actuators lag is {actuators.lag!r}; a simulated trial needs a number")
-        self._vehicle, self._actuators, self._current, self._arm = vehicle, actuators, current, arm
-        self._lag = float(actuators.lag)
-        self._force: Force = (0.0, 0.0)
+    vehicle: Vehicle
+    actuators: Actuators
+    current: CurrentVelocity = STILL_WATER
+    arm: float = math.inf
+    _force: Force = field(default=(0.0, 0.0), init=False)
 
     def __call__(self, state: State, command: Force, dt: float) -> State:
         """Return x, y, psi, u, v relative to the water, r after dt [s] of a command [N], [N m]."""
-        act, h = self._actuators, dt / FINER
-        limits = act.F_u_max, act.F_r_max
-        F_u, F_r = (FLOATS.clip(F, -most, most) for F, most in zip(command, limits, strict=True))
-        response = Response.of(self._lag, act.F_u_rate, act.F_r_rate, h)
+        act, h = self.actuators, dt / FINER
+        assert not isinstance(act.lag, tuple)
+        F_u, F_r = (FLOATS.clip(F, -most, most) for F, most in zip(command, (act.F_u_max, act.F_r_max), strict=True))
+        response = Response.of(act.lag, act.F_u_rate, act.F_r_rate, h)
         for _ in range(FINER):
             acting, self._force = respond(self._force, (F_u, F_r), response, FLOATS)
-            load = (acting[0], 0.0 - acting[1] / self._arm, acting[1])
-            state = rk4_step(state, load, self._vehicle.all_coefficients, h, self._current)
+            load = (acting[0], 0.0 - acting[1] / self.arm, acting[1])
+            state = rk4_step(state, load, self.vehicle.all_coefficients, h, self.current)
         return state
 
 
@@ -130,9 +128,7 @@ def recorded(
     return Log(t, measured, commands)
 
 
-def example(
-    vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int, current: CurrentVelocity = EXAMPLE_CURRENT
-) -> Log:
-    """Return the log of the trial `SEGMENTS` of a simulated vehicle with noise, in a current [m/s]."""
-    trial = Trial(actuators.F_u_max, actuators.F_r_max)
-    return recorded(Simulated(vehicle, actuators, current), trial, sensors, np.random.default_rng(seed), current)
+def example(vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int) -> Log:
+    """Return the log of the trial `SEGMENTS` of a simulated vehicle with noise, in the current `EXAMPLE_CURRENT`."""
+    plant, trial = Simulated(vehicle, actuators, EXAMPLE_CURRENT), Trial(actuators.F_u_max, actuators.F_r_max)
+    return recorded(plant, trial, sensors, np.random.default_rng(seed), EXAMPLE_CURRENT)

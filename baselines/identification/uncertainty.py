@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,26 +10,12 @@ from scipy.special import chdtrc
 
 from auv_gym.physics.namespaces import Array, Indices
 from baselines.identification.least_squares import Residuals
-from baselines.identification.log import Log, slices, unwrapped
+from baselines.identification.log import Log, least_noise, slices
 
 NORMAL_QUANTILE = 1.959964  # of a 95 % interval
-_LEAST_NOISE = 1e-6  # as a share of the range of a measurement
 SINGULAR = 1e-9  # least singular value of derivatives of unit length
 _LAG_SHARE = 4  # residuals are taken as correlated over at most this fraction, 1/4, of a segment
 PORTMANTEAU = 10  # number of lags of the portmanteau test
-
-
-def rough_noise(log: Log) -> Array:
-    """Return standard deviations of the measurement noise from second differences, shape (6,)."""
-    measured = unwrapped(log)
-    bends = np.concatenate([np.diff(measured[run], 2, axis=0) for run in log.runs])
-    noise = 1.4826 * np.median(np.abs(bends - np.median(bends, axis=0)), axis=0) / math.sqrt(6)
-    return np.asarray(np.maximum(noise, _least_noise(log)))
-
-
-def _least_noise(log: Log) -> Array:
-    """Return lower bounds of the standard deviations, shape (6,)."""
-    return np.asarray(np.maximum(_LEAST_NOISE * np.ptp(unwrapped(log), axis=0), 1e-9))
 
 
 def estimated_noise(residuals: Residuals, noise: Array, log: Log) -> Array:
@@ -38,7 +23,7 @@ def estimated_noise(residuals: Residuals, noise: Array, log: Log) -> Array:
     count = residuals.errors.size
     fitted = residuals.slopes.shape[2] + residuals.states.size
     rms = np.sqrt(np.mean(residuals.errors**2, axis=0) * count / max(count - fitted, 1))
-    return np.asarray(np.maximum(rms * noise, _least_noise(log)))
+    return np.asarray(np.maximum(rms * noise, least_noise(log)))
 
 
 def whiteness(errors: Array, starts: Indices) -> float:
@@ -47,9 +32,7 @@ def whiteness(errors: Array, starts: Indices) -> float:
     It is the p-value of the portmanteau statistic of all measurements together (G. M. Ljung and G. E. P. Box, "On a
     measure of lack of fit in time series models", Biometrika 65:297-303, 1978).
 
-    Args:
-        errors: measured minus predicted, shape (T, 6).
-        starts: first rows of the segments, shape (S,).
+    `errors` are measured minus predicted, shape (T, 6), and `starts` the first rows of the segments.
     """
     segments = slices(starts, len(errors))
     total = 0.0
@@ -72,10 +55,7 @@ def covariance(residuals: Residuals, starts: Indices, misfit: bool = False) -> A
     using generalized linear models", Biometrika 73:13-22, 1986). A direction without information has a very large or
     infinite variance.
 
-    Args:
-        residuals: of a fit.
-        starts: first rows of the segments, shape (S,).
-        misfit: whether the residuals are not white.
+    `starts` are the first rows of the segments; with a misfit the residuals are not white.
     """
     F = residuals.slopes.shape[2]
     flat = residuals.slopes.reshape(-1, F)

@@ -142,19 +142,6 @@ def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None
         raise UsageError(f"unknown {kind} {unknown[0]!r}; allowed are {', '.join(known)}")
 
 
-@contextlib.contextmanager
-def checked_record(file: Path, program: str) -> Iterator[None]:
-    """Turn errors of a block that reads the program's own results file into a UsageError.
-
-    Raises:
-        UsageError: the file has other content than the program writes.
-    """
-    try:
-        yield
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise UsageError(f"{file} was not written by {program}; delete it, or name another file with --out") from None
-
-
 def called(program: str) -> str:
     """Return the command as the user has typed it: the argument of `run`, otherwise the command's own name."""
     return _called.get() or program

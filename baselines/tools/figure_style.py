@@ -39,19 +39,13 @@ REFERENCE_STYLE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "l
 
 @dataclass(frozen=True)
 class Look:
-    """Colour, dash pattern and marker of a policy, the same in every figure and on every page."""
+    """Colour, dash pattern and marker of a policy."""
 
     colour: str
     dash: int  # index in `DASHES`
     marker: int  # index in `MARKERS`
 
 
-KNOWN = (
-    "nmpc", "backstepping", "helm", "helm-any", "ekf", "los-pid", "clairvoyant",
-    "nmpc-adverse", "backstepping-tuned", "helm-small", "apg-cruise", "lqi", "ilos", "oracle",
-    "open-loop", "ppo-cruise", "helm-blind", "apg-slow", "integral", "adaptive", "smc-dob",
-)  # fmt: skip
-"""Policies that have the same look in every figure, in the order of `LOOKS`; the first seven have their own colour."""
 LOOKS = tuple(
     Look(COLOURS[i % len(COLOURS)], i // len(COLOURS), (i + i // len(COLOURS)) % len(MARKERS))
     for i in range(len(COLOURS) * len(DASHES))
@@ -60,11 +54,8 @@ LOOKS = tuple(
 
 
 def look(name: str, names: Sequence[str]) -> Look:
-    """Return the look of a policy: its own if it is in `KNOWN`, else by its position among the others in `names`."""
-    if name in KNOWN:
-        return LOOKS[KNOWN.index(name)]
-    others = [other for other in names if other not in KNOWN]
-    return LOOKS[len(KNOWN) + others.index(name) % (len(LOOKS) - len(KNOWN))]
+    """Return the look of a policy, by its position among the names of a figure or page."""
+    return LOOKS[names.index(name) % len(LOOKS)]
 
 
 _STYLE: Any = {

@@ -77,50 +77,56 @@ def _in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]],
         yield from found
 
 
-class ProcessObject:
-    """An object in its own worker process, whose methods are called from this process; see `Workers.results`.
+class ProcessObjects:
+    """Objects in this process and in worker processes, whose methods are called at the same time.
 
-    The process ends after `close`, or when its parent ends.
+    Object k is in process k modulo the number of processes, where process 0 is this one. The worker processes end after
+    `close`, or when their parent ends; see `Workers.results`.
+
+    Args:
+        make: returns an object; if it fails in a worker process, the first call raises the exception.
+        arguments: of `make`, for each object.
+        processes: number of processes, including this one; there is at most one for each object.
     """
 
-    def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
-        """Begin to make the object `make(*arguments)`; the first call raises the exception if this fails."""
-        spawn = multiprocessing.get_context("spawn")
-        with _interrupts_blocked():  # joblib would replace a process whose memory grows, and lose the object
-            self._process = futures.ProcessPoolExecutor(1, spawn, initializer=_end_with, initargs=(os.getpid(),))
-            self._made = self._process.submit(_keep, make, arguments)
+    def __init__(self, make: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], processes: int = 1) -> None:
+        self._count, spawn = len(arguments), multiprocessing.get_context("spawn")
+        mine, *others = (arguments[j::processes] for j in range(min(processes, self._count)))
+        with _interrupts_blocked():  # joblib would replace a process whose memory grows, and lose the objects
+            self._others = [futures.ProcessPoolExecutor(1, spawn, _end_with, (os.getpid(),)) for _ in others]
+            self._made = [pool.submit(_make, make, share) for pool, share in zip(self._others, others, strict=True)]
+        self._mine = [make(*one) for one in mine]
 
-    def call(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Begin to call a method, after all earlier calls, and return a function that waits for its result.
+    def call(self, method: str, *arguments: Any) -> list[Any]:
+        """Call a method of all objects with the same arguments, and return the results in the order of the objects.
 
         Raises:
-            WorkerError: the process ended unexpectedly; the returned function can raise it too.
+            WorkerError: a worker process ended unexpectedly.
         """
         with _crashes_as_worker_errors():
-            answer = self._process.submit(_call, method, arguments)
-
-        def wait() -> Any:
-            with _crashes_as_worker_errors():
-                self._made.result()
-                return answer.result()
-
-        return wait
+            answers = [pool.submit(_call, method, arguments) for pool in self._others]
+            results = [[getattr(one, method)(*arguments) for one in self._mine]]
+            for made, answer in zip(self._made, answers, strict=True):
+                made.result()
+                results.append(answer.result())
+        return [results[k % len(results)][k // len(results)] for k in range(self._count)]
 
     def close(self) -> None:
-        """End the process after the call that is running."""
-        self._process.shutdown(cancel_futures=True)
+        """End the worker processes after the calls that are running."""
+        for pool in self._others:
+            pool.shutdown(cancel_futures=True)
 
 
-_kept: list[Any] = []
-"""The object of a `ProcessObject` in its process."""
+_objects: list[Any] = []
+"""The objects of a worker process."""
 
 
-def _keep(make: Callable[..., Any], arguments: Sequence[Any]) -> None:
-    _kept[:] = [make(*arguments)]
+def _make(make: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> None:
+    _objects[:] = [make(*one) for one in arguments]
 
 
-def _call(method: str, arguments: Sequence[Any]) -> Any:
-    return getattr(_kept[0], method)(*arguments)
+def _call(method: str, arguments: Sequence[Any]) -> list[Any]:
+    return [getattr(one, method)(*arguments) for one in _objects]
 
 
 @contextmanager

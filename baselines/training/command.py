@@ -1,157 +1,281 @@
-"""Run the trainings of a request: progress, learning curve, agent."""
+"""Train agents that correct an expert: `auv-gym train --help`, in a checkout also `python train.py --help`."""
 
 from __future__ import annotations
 
 import importlib
+import json
+import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import replace
-from datetime import timedelta
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from tyro.conf import arg
 
-from baselines.agents.agent import Agent
-from baselines.agents.model_card import CURVE_FILE
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.mixtures import MIXTURES, Mixture
+from auv_gym.scenarios.records import read_table
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
-from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError, checked
-from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
-from baselines.tools.files import versions, write_atomically
+from baselines.evaluation.request import checked_scenario
+from baselines.evaluation.score import EXPERT
+from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
+from baselines.tools.workers import Workers
 from baselines.training.config import ALGORITHMS, Config
-from baselines.training.request import Request
-from baselines.training.run_folder import RunFolder, TrainerState, TrainingError, locked, read_progress
+from baselines.training.initial_agent import ALGO, InitialAgent, fitted, in_own_units
+from baselines.training.run_folder import LOCK, read_config
+from baselines.training.train import TrainingRequest, train_all
+
+PROGRAM = "train.py"
+DEFAULTS: Mapping[str, Any] = {"timesteps": 1_000_000, "expert": EXPERT, "authority": 0.5}
+"""Values of these options if neither the command line nor the file of hyper-parameters has them."""
+DEFAULT_SCENARIO = ("cruise",)  # of `--scenario`
+FINE_TUNING_METHOD = "fine-tuning"
+"""Name of the file of the hyper-parameters that differ from those of an agent's own training, if it is trained
+further."""
 
 
-def train(request: Request) -> int:
-    """Run the trainings of a request, write their folders and return the exit status.
+@dataclass(frozen=True)
+class Options:
+    """Train a network that corrects an expert; write the agent, its learning curve and a checkpoint to a folder.
 
-    Progress is printed to stderr: a progress bar on a terminal, else a line for each validation.
+    Exit status: 0 done, 1 the training failed or could not be written, 2 wrong usage.
     """
-    several = len(request.folders) > 1
-    processes = request.workers.each_of(len(request.folders))
-    tasks = [
-        (config, folder, request.command, several, processes)
-        for config, folder in zip(request.configs, request.folders, strict=True)
-    ]
-    status = DONE
-    try:
-        for each, line in request.workers.results(train_one, tasks):
-            print(line, file=sys.stderr if each else sys.stdout)
-            status = max(status, each)
-    except (WorkerError, KeyboardInterrupt) as error:
-        reason = str(error) or "interrupted"
-        print(f"{reason}; repeat the command with --resume to continue", file=sys.stderr)
-        return FAILED
-    if several and status == DONE:
-        rows = [checked(partial(read_progress, folder)) for folder in request.folders]
-        write_atomically(request.out / CURVE_FILE, learning_curve(rows, [folder.name for folder in request.folders]))
-    return status
+
+    algo: str = "apg"
+    """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), or one of
+    Stable-Baselines3: "ppo", "sac", "td3"."""
+    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
+    """Training scenarios: names of presets, .toml and .json files, or a mixture; NAME:WEIGHT sets the weight.
+    The mixtures "cruise" and "slow" have all cases of a speed range, storms with weight three, noise and slow actuators
+    with weight two. "cruise-adverse" and "slow-adverse" also have storms with sensor and actuator faults. "helm" has
+    both speed ranges and actuators with a rate limit, as the agent of that name.
+    Default: cruise, or the scenarios of the initial agent."""
+    expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
+    """Name of the policy that is corrected; "none" for an agent without an expert. Default: backstepping."""
+    authority: Annotated[tuple[float, ...], arg(metavar="A [A]", help_behavior_hint="")] = ()
+    """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]; one number for
+    both. Default: from the hyper-parameters."""
+    from_: Annotated[str | None, arg(name="from", metavar="AGENT", help_behavior_hint="")] = None
+    """Initial agent, by name or folder, such as "helm". Its weights, network, inputs, expert and authority are used in
+    a short training with small learning rates. Default: a new network, whose correction is zero."""
+    vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
+    """Vehicle to train for, a published one by name or a .toml file. The scenarios are adapted to it. Scenarios that
+    are too slow for its fins are left out."""
+    seed: int = 0
+    """Seed of networks, exploration and episodes."""
+    seeds: int = 1
+    """Number of seeds, from --seed on; each has its own folder seed-N."""
+    jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Worker processes for several seeds, or for the groups of a single training of apg, one thread each.
+    Default: 2, or 1 on a single processor."""
+    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Control steps to train for, summed over vehicles. Default: from the hyper-parameters."""
+    hyperparameters: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """File of hyper-parameters, .toml or .json. Default: the file of the package."""
+    set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]", help_behavior_hint="")] = ()
+    """Hyper-parameters that replace those of the file, such as "effort_weight=0.1" or "preview=[5,10]"."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of the run; existing files are not overwritten. Default: runs/train/ALGO-SCENARIO-VEHICLE, or
+    runs/train/AGENT-SCENARIO-VEHICLE with --from."""
+    resume: bool = False
+    """Continue the run that the same options have started in the folder, from its last checkpoint."""
 
 
-def train_one(
-    config: Config, folder: Path, command: str, one_of_several: bool = False, processes: int = 1
-) -> tuple[int, str]:
-    """Train one agent in its folder; return the exit status and a message.
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit status.
 
     Raises:
-        WorkerError: a worker process has died.
+        ModuleNotFoundError: a library for training is not installed.
+        UsageError: an argument is wrong.
     """
-    label = f"{folder.name}: " if one_of_several else ""
-    if (folder / AGENT_FOLDER).exists():
-        return DONE, f"{label}{folder} holds the finished agent: auv-gym evaluate --policy {folder / AGENT_FOLDER}"
-    try:
-        with locked(folder), nullcontext(_plain(label)) if one_of_several else _live(config) as show:
-            run = RunFolder(config, folder, show, processes)
-            agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
-            score = _finish(run, agent, command)
-    except UsageError as error:
-        return WRONG_USAGE, f"{label}{error}"
-    except TrainingError as error:
-        return FAILED, f"{label}{' '.join(str(error).split())}"
-    except OSError as error:
-        return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
-    return DONE, f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT_FOLDER}"
+    return train_all(checked_request(parse(Options, arguments, PROGRAM), typed(PROGRAM, arguments)))
 
 
-def _finish(run: RunFolder, agent: Agent, command: str) -> float:
-    """Write the learning curve, then the agent; return the agent's score on the validation episodes."""
-    run.close()
-    kept, curve = run.validated, learning_curve([read_progress(run.folder)])
-    write_atomically(run.folder / CURVE_FILE, curve)
-    training: dict[str, Any] = {
-        "command": command,
-        "config": run.config.to_dict(),
-        "seconds": round(run.seconds, 1),
-        "versions": {**versions(), **{name: version(name) for name in ("stable-baselines3", "torch")}},
-        "scores": {"validation episodes": round(kept["score"], 3)},
-        "validation": {name: kept[name] for name in ("timesteps", "score", "error_m", "failed")},
-    }
-    region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
-    replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT_FOLDER, curve)
-    return kept["score"]
-
-
-@contextmanager
-def _live(config: Config) -> Iterator[Callable[[TrainerState], None]]:
-    """Yield a function that displays the state of a run on stderr."""
-    console = Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        yield _plain("")
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[text]}"))
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(config.algo, total=config.timesteps, text="")
-        yield lambda state: bar.update(task, completed=state.timesteps, text=_text(state))
-
-
-def _plain(label: str) -> Callable[[TrainerState], None]:
-    """Return a function that prints a line to stderr for each validation; `label` begins each line."""
-    printed = 0
-
-    def show(state: TrainerState) -> None:
-        nonlocal printed
-        if len(state.scores) != printed:
-            printed = len(state.scores)
-            print(f"{label}{min(1.0, state.timesteps / state.total):4.0%} {_text(state)}", file=sys.stderr, flush=True)
-
-    return show
-
-
-def _text(state: TrainerState) -> str:
-    score = "validating the expert" if state.kept is None else f"score {state.scores[-1]:.3f}, kept {state.kept:.3f}"
-    left = "" if state.seconds_left is None else f", {timedelta(seconds=round(state.seconds_left))} left"
-    return f"{state.timesteps:,} steps, {score}{left}"
-
-
-def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:
-    """Return a PNG image of the score on the validation episodes over control steps and over wall time.
+def checked_request(options: Options, command: str = "") -> TrainingRequest:
+    """Return the trainings of the options of a command line, completely checked, and create their folders.
 
     Args:
-        seeds: for each training the rows of its progress.csv.
-        names: of the trainings, for the legend; empty for a single training.
+        options: of the command line.
+        command: the command line, for the description of the agents.
+
+    Raises:
+        UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
     """
-    figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
-    axes[0].set_ylabel("score (0: expert, 1: oracle)")
-    with styled():
-        for ax, key, unit, label in zip(
-            axes, ("timesteps", "seconds"), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
-        ):
-            ax.set_xlabel(label)
-            ax.axhline(0.0, **REFERENCE_STYLE)
-            for i, rows in enumerate(seeds):
-                points = [row for row in rows if "score" in row]
-                ax.plot(
-                    [row[key] / unit for row in points],
-                    [row["score"] for row in points],
-                    color=COLOURS[i % len(COLOURS)],
-                    marker=".",
-                    label=names[i] if names else None,
-                )
-        if names:
-            axes[0].legend()
-    return to_png(figure)
+    workers = checked(partial(Workers.of, options.jobs))
+    configs = checked(partial(configurations, options))
+    out = options.out or Path("runs/train") / _name(options)
+    folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)
+    begun = [_holds(config, folder, options.resume) for config, folder in zip(configs, folders, strict=True)]
+    if options.resume and not any(begun):
+        print(f"note: --out {out} holds no run yet, so --resume begins one", file=sys.stderr)
+    for folder in folders:
+        checked_folder(folder)
+    return TrainingRequest(configs, folders, out, workers, command)
+
+
+def configurations(options: Options) -> tuple[Config, ...]:
+    """Return the checked configuration of each seed.
+
+    A value is that of the command line, else that of the file of hyper-parameters, else that of the initial agent.
+    Expert and authority are always those of the initial agent, if there is one.
+
+    Raises:
+        OSError: a file cannot be read.
+        UsageError: `--scenario` is wrong.
+        ValueError: another option is wrong.
+    """
+    if options.seeds < 1:
+        raise ValueError(f"--seeds is {options.seeds}; it must be 1 or more")
+    if options.algo not in ALGORITHMS:
+        raise ValueError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
+    initial = None if options.from_ is None else InitialAgent.of(options.from_)
+    if initial and options.algo != ALGO:
+        raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
+    values = read_hyperparameters(options.hyperparameters or shipped(FINE_TUNING_METHOD if initial else options.algo))
+    timesteps, expert, authority = (values.pop(name, default) for name, default in DEFAULTS.items())
+    values |= (changes := changes_of(options.set))
+    expert, authority = options.expert or expert, options.authority or authority
+    if initial:
+        initial.check(options.expert, options.authority, changes)
+        values = {**initial.config.hyperparameters, **values}
+        expert, authority = initial.agent.expert, initial.agent.authority
+    scenarios, vehicle = _scenarios(options, initial)
+    first = Config(
+        options.algo,
+        scenarios,
+        expert,
+        tuple(authority) * 2 if isinstance(authority, Sequence) and len(authority) == 1 else authority,
+        options.seed,
+        timesteps if options.timesteps is None else options.timesteps,
+        values,
+        initial.origin if initial else None,
+        vehicle,
+    )
+    configs = tuple(replace(first, seed=first.seed + i) for i in range(options.seeds))
+    check(first)
+    return configs
+
+
+def check(config: Config) -> None:
+    """Raise ValueError if the algorithm cannot train the configuration."""
+    importlib.import_module(ALGORITHMS[config.algo]).check(config)
+
+
+def shipped(name: str) -> Path:
+    """Return the file of the package with the hyper-parameters of an algorithm, or of `FINE_TUNING_METHOD`."""
+    return Path(__file__).parent / "hyperparameters" / f"{name}.toml"
+
+
+def read_hyperparameters(file: Path) -> dict[str, Any]:
+    """Return the hyper-parameters of a .toml or .json file, and its values for the options of `DEFAULTS`.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: the file has another format.
+    """
+    values = read_table(file)
+    if not isinstance(values, dict):
+        raise ValueError(f"{file} has no table of hyper-parameters")
+    return values
+
+
+def changes_of(words: Sequence[str]) -> dict[str, Any]:
+    """Return the hyper-parameters of words NAME=VALUE, where a value is JSON, or a name without quotation marks.
+
+    Raises:
+        ValueError: a word has another form.
+    """
+    changes = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        value = text if text.isidentifier() else None
+        with suppress(ValueError, RecursionError):
+            value = json.loads(text)
+        if not name or value is None:
+            raise ValueError(f"--set is {word!r}; it must be NAME=VALUE, such as effort_weight=0.1")
+        changes[name] = value
+    return changes
+
+
+def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
+    """Return hyper-parameters as words NAME=VALUE."""
+    return [f"{name}={json.dumps(value, separators=(',', ':'))}" for name, value in changes.items()]
+
+
+def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
+    """Return the training scenarios and the vehicle in whose units they are; note left-out scenarios on stderr."""
+    if initial and not options.scenario:
+        if initial.config.steers is not None and options.vehicle is None:
+            return initial.config.scenarios, initial.config.steers
+        mixture = initial.config.scenarios
+    else:
+        mixture = resolved(options.scenario or DEFAULT_SCENARIO)
+    if options.vehicle is not None:
+        as_vehicle(options.vehicle)  # raises ValueError for an unknown vehicle
+        if (vehicle_model := as_vehicle_model(options.vehicle)) is not None:
+            mixture, reasons = fitted(mixture, vehicle_model)
+            if reasons:
+                print(f"note: {len(reasons)} scenarios are left out: {reasons[0]}", file=sys.stderr)
+    return in_own_units(mixture)
+
+
+def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
+    """Return the scenarios and weights of the words of `--scenario`.
+
+    Raises:
+        UsageError: a scenario is unknown, or a weight is not a positive number.
+    """
+    mixture: list[tuple[Scenario, float]] = []
+    for name, weight in map(_split, words):
+        if name in MIXTURES:
+            mixture += [(scenario, weight * share) for scenario, share in MIXTURES[name]]
+        else:
+            mixture.append((checked_scenario(name, tuple(MIXTURES)), weight))
+    return tuple(mixture)
+
+
+def _split(word: str) -> tuple[str, float]:
+    """Return the name and weight of NAME or NAME:WEIGHT."""
+    name, colon, text = word.rpartition(":")
+    if not colon or word.endswith((".toml", ".json")):
+        return word, 1.0
+    try:
+        weight = float(text)
+    except ValueError:
+        weight = math.nan
+    if not 0 < weight < math.inf:
+        raise UsageError(f"scenario {word!r} has weight {text!r}; it must be a positive number")
+    return name, weight
+
+
+def _name(options: Options) -> str:
+    """Return the default name of a run's folder."""
+    words = options.scenario or (() if options.from_ else DEFAULT_SCENARIO)
+    scenarios = "-".join(Path(_split(word)[0]).stem for word in words)
+    parts = Path(options.from_).name if options.from_ else options.algo, scenarios, Path(options.vehicle or "").stem
+    return "-".join(part for part in parts if part)
+
+
+def _holds(config: Config, folder: Path, resume: bool) -> bool:
+    """Return whether a folder holds the run; raise UsageError if it holds something else, or the run without resume."""
+    present = checked(partial(read_config, folder))
+    if present is None:
+        if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
+            raise UsageError(f"--out {folder} is not empty and holds no run of `auv-gym train`; choose another folder")
+        return False
+    if (wanted := config.to_dict()) != (held := present.to_dict()):
+        name = next(key for key in wanted if wanted[key] != held[key])
+        change = f": {held[name]} instead of {wanted[name]}" if name not in ("scenarios", "hyperparameters") else ""
+        raise UsageError(f"--out {folder} holds a run with other {name}{change}; choose another folder")
+    if not resume:
+        if (folder / AGENT_FOLDER).exists():
+            state, advice = "finished", "choose another folder, or delete it"
+        else:
+            state, advice = "unfinished", "add --resume to continue, or choose another folder"
+        raise UsageError(f"--out {folder} holds this run already, {state}; {advice}")
+    return True

@@ -21,10 +21,8 @@ from baselines.tools.seeds import TRAINING
 ALGORITHMS: Mapping[str, str] = {
     "apg": "baselines.training.apg.trainer",
     "ppo": "baselines.training.sb3.trainer",
-    "ppo_lstm": "baselines.training.sb3.trainer",
     "sac": "baselines.training.sb3.trainer",
     "td3": "baselines.training.sb3.trainer",
-    "tqc": "baselines.training.sb3.trainer",
 }
 """Module of each algorithm. Its `check(config)` raises ValueError for a wrong configuration; `train(run)` trains.
 

@@ -63,14 +63,14 @@ class InitialAgent:
             authority: of `--authority`, empty if it is not given.
             changes: of `--set`, by name.
         """
-        name, own = self.origin.agent, self.config.hyperparameters
+        name, values = self.origin.agent, self.config.hyperparameters
         if expert not in (None, self.agent.expert):
             raise ValueError(f"agent {name!r} corrects {self.agent.expert}; leave out --expert {expert}")
         if authority and {*authority} != {*self.agent.authority}:
             raise ValueError(f"agent {name!r} has the authority {self.agent.authority}; leave out --authority")
         for key in OF_AGENT:
-            if key in changes and changes[key] != own.get(key, changes[key]):
-                raise ValueError(f"agent {name!r} was trained with {key} {own[key]}; leave out {key}={changes[key]}")
+            if key in changes and changes[key] != values.get(key, changes[key]):
+                raise ValueError(f"agent {name!r} was trained with {key} {values[key]}; leave out {key}={changes[key]}")
 
 
 def weights_digest(folder: Path) -> str:
@@ -97,7 +97,7 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
     Raises:
         ValueError: a scenario is not of the paper's vehicle, or no scenario can be adapted.
     """
-    found: list[tuple[Scenario, float]] = []
+    scenarios: list[tuple[Scenario, float]] = []
     reasons: list[str] = []
     for scenario, weight in mixture:
         if scenario.vehicle != PAPER_VEHICLE:
@@ -106,12 +106,12 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
                 "--vehicle, or use scenarios of the paper's vehicle"
             )
         try:
-            found.append((changed(scenario, vehicle_model), weight))
+            scenarios.append((changed(scenario, vehicle_model), weight))
         except ValueError as error:
             reasons.append(str(error))
-    if not found:
+    if not scenarios:
         raise ValueError(reasons[0])
-    return tuple(found), tuple(reasons)
+    return tuple(scenarios), tuple(reasons)
 
 
 def in_own_units(mixture: Mixture) -> tuple[Mixture, Vehicle | None]:
@@ -123,10 +123,10 @@ def in_own_units(mixture: Mixture) -> tuple[Mixture, Vehicle | None]:
     Raises:
         ValueError: see `auv_gym.scenarios.fitting.in_vehicle_units`.
     """
-    own = tuple((in_vehicle_units(scenario), weight) for scenario, weight in mixture)
-    if all(new is old for (new, _), (old, _) in zip(own, mixture, strict=True)):
+    converted = tuple((in_vehicle_units(scenario), weight) for scenario, weight in mixture)
+    if all(new is old for (new, _), (old, _) in zip(converted, mixture, strict=True)):
         return mixture, None
-    steps = max(scenario.substeps for scenario, _ in own)
+    steps = max(scenario.substeps for scenario, _ in converted)
     first = mixture[0][0].vehicle
     one = first if all(scenario.vehicle == first for scenario, _ in mixture) else None
-    return tuple((replace(scenario, substeps=steps), weight) for scenario, weight in own), one
+    return tuple((replace(scenario, substeps=steps), weight) for scenario, weight in converted), one

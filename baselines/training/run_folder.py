@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
+from datetime import timedelta
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from filelock import FileLock, Timeout
-
+import auv_gym
 from auv_gym.scenarios.records import guarded
 from baselines.agents.agent import Agent
 from baselines.agents.networks import Weights
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import json_text, read_csv, read_json, write_atomically
-from baselines.training.checkpoint import UNREADABLE, code_digest, packed, unpacked
 from baselines.training.config import Config
 from baselines.training.validation import VALIDATION_PRECISION, Validation, validation_cell
 
@@ -35,21 +34,12 @@ LOCK = ".lock"  # file that the writing process locks; without a lock on it the 
 VALIDATIONS = 20
 """Number of validations of the agent in a run; a checkpoint is saved with each."""
 
+Show = Callable[[int, str, bool], None]
+"""Displays the progress of a run: control steps so far, a text, and whether there is a new score."""
+
 
 class TrainingError(Exception):
     """A training cannot continue; the message says why, and what to change."""
-
-
-@dataclass(frozen=True)
-class TrainerState:
-    """The progress of a run."""
-
-    timesteps: int  # control steps, summed over vehicles
-    total: int
-    scores: tuple[float, ...]  # of all validations so far
-    kept: float | None  # score of the selected agent; None before the first validation
-    seconds: float  # wall time, including that before a resumption
-    seconds_left: float | None
 
 
 @contextmanager
@@ -60,6 +50,8 @@ def locked(folder: Path) -> Iterator[None]:
         OSError: it cannot be written to.
         UsageError: another process has the lock, or the file system has no locks.
     """
+    from filelock import FileLock, Timeout
+
     folder.mkdir(parents=True, exist_ok=True)
     try:
         held = FileLock(folder / LOCK).acquire(blocking=False)
@@ -75,12 +67,12 @@ class RunFolder:
     """The log, validations and checkpoints of a training run.
 
     A trainer first calls `load_checkpoint` once, then `log`, `validate` and `save_checkpoint`. Only one process may
-    write to the folder, see `locked`.
+    write to the folder, see `locked`. All methods raise OSError if the folder cannot be read or written to.
 
     Args:
         config: of the run.
         folder: created if necessary; a run in it must have the same configuration.
-        on_state: called with the progress of the run.
+        show: displays the progress.
         processes: number of processes for a trainer, including this one; the result does not depend on it.
 
     Attributes:
@@ -88,40 +80,31 @@ class RunFolder:
         weights: of the selected agent; they are also in the checkpoint.
 
     Raises:
-        OSError: the folder cannot be written to.
         TrainingError: the folder holds another run.
         ValueError: a file of the folder is damaged.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        folder: Path,
-        on_state: Callable[[TrainerState], None] = lambda _: None,
-        processes: int = 1,
-    ) -> None:
-        self.config = config
-        self.folder = folder
-        self.processes = processes
+    def __init__(self, config: Config, folder: Path, show: Show = lambda *_: None, processes: int = 1) -> None:
+        self.config, self.folder, self.processes = config, folder, processes
         self.keeps_last = False
         code_digest()  # of the code that runs, not of files that change later
         self.weights: Weights = {}
-        self._on_state = on_state
+        self._show = show
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
         for file in folder.glob(".*.tmp"):  # of a run that was killed
             file.unlink()
-        if (there := read_config(folder)) is None:
+        if (config_of_folder := read_config(folder)) is None:
             write_atomically(folder / CONFIG, json_text(config.to_dict()))
-        elif there.to_dict() != config.to_dict():
+        elif config_of_folder.to_dict() != config.to_dict():
             raise TrainingError(f"{folder} holds another training; choose another folder")
 
     @cached_property
     def validation(self) -> Validation:
-        """The validation episodes of the run's scenarios; with an initial agent few, and without the oracle."""
+        """The validation episodes of the run's scenarios; with an initial agent few."""
         brief = self.config.origin is not None
         cells = [validation_cell(scenario, brief) for scenario, _ in self.config.scenarios]
-        return Validation(cells, brief)
+        return Validation(cells)
 
     @property
     def seconds(self) -> float:
@@ -134,9 +117,6 @@ class RunFolder:
         Args:
             timesteps: control steps so far, summed over vehicles; a second row with the same number extends the first.
             values: to log, by name.
-
-        Raises:
-            OSError: the folder cannot be written to.
         """
         if not self._rows or self._rows[-1]["timesteps"] != timesteps:
             self._rows.append({"timesteps": timesteps})
@@ -145,28 +125,27 @@ class RunFolder:
         for name, value in values.items():
             self._events.add_scalar(name, float(value), timesteps)
         self._events.flush()
-        self.report(timesteps)
+        self.report(timesteps, "score" in values)
 
-    def report(self, timesteps: int) -> None:
-        """Call `on_state` with the progress of the run."""
-        scores = tuple(row["score"] for row in self._rows if "score" in row)
-        done, total = timesteps - self._start, self.config.timesteps
-        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
-        kept = self.validated["score"] if scores else None
-        self._on_state(TrainerState(timesteps, total, scores, kept, self.seconds, left))
+    def report(self, timesteps: int, validated: bool = False) -> None:
+        """Show the progress of the run; `validated`: there is a new score."""
+        scores = [row["score"] for row in self._rows if "score" in row]
+        score = f"score {scores[-1]:.3f}, kept {self.validated['score']:.3f}" if scores else "validating the expert"
+        left, done = "", timesteps - self._start
+        if done > 0:
+            seconds = (time.monotonic() - self._begin) * max(0, self.config.timesteps - timesteps) / done
+            left = f", {timedelta(seconds=round(seconds))} left"
+        self._show(timesteps, f"{timesteps:,} steps, {score}{left}", validated)
 
     def validate(self, agent: Agent, timesteps: int) -> None:
         """Log the score of an agent on the validation episodes, and select the best agent.
 
-        The score is 0 for the expert and 1 for the oracle. Of equal scores the first is selected; with `keeps_last` it
+        The score is 0 for the expert and 1 for no error. Of equal scores the first is selected; with `keeps_last` it
         is always the last one.
 
         Args:
             agent: the current one.
             timesteps: see `log`.
-
-        Raises:
-            OSError: the folder cannot be written to.
         """
         verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=VALIDATION_PRECISION))
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, failed=verdict.failed)
@@ -184,32 +163,29 @@ class RunFolder:
 
         Args:
             state: objects that can be pickled; its entry "timesteps" is the number of control steps so far.
-
-        Raises:
-            OSError: the folder cannot be written to.
         """
-        record = {"timesteps": int(state["timesteps"]), "seconds": self.seconds, "weights": dict(self.weights)}
-        write_atomically(self.folder / CHECKPOINT, packed({**record, "state": dict(state)}))
+        import torch
+
+        content = io.BytesIO()
+        torch.save({"seconds": self.seconds, "weights": dict(self.weights), "state": dict(state)}, content)
+        write_atomically(self.folder / CHECKPOINT, code_digest() + content.getvalue())
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the state of the last checkpoint, None if there is none; later rows of the log are dropped.
 
         Raises:
-            OSError: the folder cannot be read.
             TrainingError: a file is damaged, or of other code, or of other versions of the libraries.
         """
-        file = self.folder / CHECKPOINT
-        if not file.exists():
+        if not (self.folder / CHECKPOINT).exists():
             return None
         with self.restoring():
-            record = unpacked(file.read_bytes())
-            rows = [row for row in read_progress(self.folder) if row["timesteps"] <= record["timesteps"]]
-            if not rows or rows[-1]["timesteps"] != record["timesteps"]:
+            record = read_checkpoint(self.folder)
+            state: dict[str, Any] = record["state"]
+            rows = [row for row in read_progress(self.folder) if row["timesteps"] <= state["timesteps"]]
+            if not rows or rows[-1]["timesteps"] != state["timesteps"]:
                 raise ValueError(f"{PROGRESS} is damaged, it ends before the checkpoint")
-            self.weights = record["weights"]
-        self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
-        self._rows = rows
-        state: dict[str, Any] = record["state"]
+            self._earlier, self.weights = record["seconds"], record["weights"]
+        self._begin, self._start, self._rows = time.monotonic(), state["timesteps"], rows
         return state
 
     @contextmanager
@@ -217,15 +193,14 @@ class RunFolder:
         """Convert exceptions of an unreadable checkpoint; a trainer restores its state within this context.
 
         Raises:
-            TrainingError: instead of one of `UNREADABLE`.
+            TrainingError: instead of every exception but OSError.
         """
         try:
-            yield
-        except UNREADABLE as error:
-            what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+            with guarded(f"cannot resume from {self.folder / CHECKPOINT}"):
+                yield
+        except (ImportError, ValueError) as error:
             raise TrainingError(
-                f"cannot resume from {self.folder / CHECKPOINT}: {what}; start again in another folder, or use the "
-                "code and the libraries that wrote it"
+                f"{error}; start again in another folder, or use the code and the libraries that wrote it"
             ) from error
 
     def close(self) -> None:
@@ -238,6 +213,36 @@ class RunFolder:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         return SummaryWriter(str(self.folder / EVENTS), purge_step=self._start + 1 if self._start else None)
+
+
+def read_checkpoint(folder: Path) -> dict[str, Any]:
+    """Return the record of a folder's checkpoint: seconds, weights of the selected agent, and state of the trainer.
+
+    If the code has changed since, unpickling could give wrong objects without an error. Such a checkpoint is rejected
+    before anything is unpickled.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: the code has changed.
+        Exception: of any kind, if the file is damaged or libraries have changed.
+    """
+    import torch
+
+    content, digest = (folder / CHECKPOINT).read_bytes(), code_digest()
+    if not content.startswith(digest):
+        raise ValueError("it is damaged, or the code of auv_gym or baselines has changed since")
+    record: dict[str, Any] = torch.load(io.BytesIO(content[len(digest) :]), map_location="cpu", weights_only=False)
+    return record
+
+
+@cache
+def code_digest() -> bytes:
+    """Return the SHA-256 of the Python source files of `auv_gym` and `baselines` at the first call."""
+    digest = hashlib.sha256()
+    for package in (Path(auv_gym.__file__).parent, Path(__file__).parents[1]):
+        for file in sorted(package.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.digest()
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:

@@ -15,7 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -28,9 +27,9 @@ SUBSTEPS = 2
 """Integration steps in a control period, the same for all vehicles; a model that needs more is rejected."""
 SEVERAL = 16
 """Number of drawn models of a sub-environment; its episodes cycle through them."""
-TRIALS = 8  # paths on which a model is tested
+TEST_PATHS = 8  # paths on which a model is tested
 ENOUGH = 6  # number of them that it must be able to follow
-PATHS = 6  # number of fixed paths of a sub-environment whose vehicle has cross terms
+FIXED_PATHS = 6  # number of fixed paths of a sub-environment whose vehicle has cross terms
 DECADES = {
     "d11": (7.0, 450.0),  # [kg/s] surge drag over speed at the design speed, including quadratic drag
     "d22": (1.8, 900.0),  # [kg/s]
@@ -77,7 +76,7 @@ def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[
 
 
 def with_fixed_paths(scenarios: Sequence[Scenario], seed: int) -> list[list[Scenario]]:
-    """Return for each sub-environment its scenario, or `PATHS` scenarios with fixed paths if there are cross terms.
+    """Return the scenario of each sub-environment, or `FIXED_PATHS` scenarios with fixed paths for cross terms.
 
     The plan of a path with cross terms takes as long as some hundred control steps, so each path is used several times.
 
@@ -93,9 +92,9 @@ def with_fixed_paths(scenarios: Sequence[Scenario], seed: int) -> list[list[Scen
 
 
 def _on_fixed_paths(scenario: Scenario, rng: np.random.Generator) -> list[Scenario]:
-    if scenario.governor or not isinstance(scenario.path, RandomPath):  # a governed path is for one episode's current
+    if not isinstance(scenario.path, RandomPath):
         return [scenario]
-    if not (paths := _followed(scenario, rng, ATTEMPTS, PATHS)):
+    if not (paths := _followed(scenario, rng, ATTEMPTS, FIXED_PATHS)):
         raise ValueError(f"the vehicle of scenario {scenario.name!r} can follow none of {ATTEMPTS} paths; use others")
     return [replace(scenario, path=path) for path in paths]
 
@@ -113,7 +112,7 @@ def drawn_model(scenario: Scenario, rng: np.random.Generator) -> tuple[VehicleMo
         with suppress(ValueError):  # the vehicle, its scenario or its plan is impossible
             model = _drawn(rng)
             other = adapted(model, scenario)
-            if other.substeps == scenario.substeps and len(_followed(other, rng, TRIALS)) >= ENOUGH:
+            if other.substeps == scenario.substeps and len(_followed(other, rng, TEST_PATHS)) >= ENOUGH:
                 return model, other
 
 
@@ -153,12 +152,12 @@ def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
 
 def _followed(scenario: Scenario, rng: np.random.Generator, trials: int, most: int | None = None) -> list[Path]:
     """Return those of some random paths that the vehicle of a scenario can follow; `most`: only the first ones."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for _ in range(trials):
         with suppress(ValueError):
             episode = scenario.draw(rng)
-            reference_tables([episode], *plan_of(scenario))
-            found.append(episode.path)
-        if len(found) == most:
+            scenario.planner.table(episode.path)
+            paths.append(episode.path)
+        if len(paths) == most:
             break
-    return found
+    return paths

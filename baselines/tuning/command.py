@@ -13,35 +13,33 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
-from baselines.gains.loading import adapted_gains, checked_gains, gain_file, load_gains
+from baselines.gains.loading import adapted_gains, checked_gains, load_gains, recorded_gains, write_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
-from baselines.tuning.objective import TuningEpisodes, compared, tuning_scenarios
+from baselines.tuning.objective import TUNABLES, TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
     TUNING_EPISODES,
     VALIDATION_EPISODES,
     VALIDATION_SEED,
     Budget,
-    GainSet,
     tune,
 )
-from baselines.tuning.tunables import TUNABLES, Tunable
 
 PROGRAM = "auv-gym tune"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Tune the gains of a controller and write them to baselines/gains/NAME-SPEED_RANGE.json, with their provenance.
+    """Tune the gains of a controller and write them to baselines/gains/gains.json, with their provenance.
 
-    The search starts at the entry "start" of that file.
+    The search starts at the entry "start" of the controller in that file.
     For another vehicle the search starts at the shipped gains, in the units of the vehicle, and writes to
     runs/tune/NAME-SPEED_RANGE@VEHICLE.json. Use these gains with make_policy(NAME, vehicle=..., gains=...).
     Exit status: 0 done, 2 wrong usage.
@@ -72,34 +70,39 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: an argument is wrong.
     """
     options = parse(Options, arguments, PROGRAM)
-    budget = _checked(options)
+    budget = _budget(options)
     tunable, vehicle_model = TUNABLES[options.name], known_vehicle_model(options.vehicle)
-    start = _start(options, tunable, vehicle_model.in_paper_units)
-    factory = partial(tunable.factory, vehicle=vehicle_model.in_paper_units.vehicle)
+    in_paper_units = vehicle_model.in_paper_units
+    start = checked(partial(_start, options, in_paper_units))
+    # refused if the vehicle's fins have no effect at such a low speed
+    checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
+    factory = partial(tunable.factory, vehicle=in_paper_units.vehicle)
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
 
-    # refused if the vehicle's fins have no effect at such a low speed
-    checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
-    gains = tune(factory, draw, start, budget) if options.evaluations else dict(start)
+    gains = tune(factory, draw, start, budget) if options.evaluations else start
+    policies = factory(dict(gains)), make_policy("backstepping", vehicle=in_paper_units.vehicle)
+    result, expert = map(draw(VALIDATION_EPISODES, VALIDATION_SEED).run, policies)
     record = {
-        "policy": options.name,
-        "speed_range": options.speed_range,
-        **({} if vehicle_model == PAPER else {"vehicle": vehicle_model.name}),
         "gains": gains,
-        "start": dict(start),
+        "start": start,
         "command": typed(PROGRAM, arguments),
         "evaluations": options.evaluations,
         "episodes": options.episodes,
         "world": tunable.world,
-        "validation": _validated(options.speed_range, tunable, gains, vehicle_model),
+        "validation": {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)},
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }
     print(json.dumps(record, indent=2))
     if not options.dry_run:
-        write_atomically(_file(options), json.dumps(record, indent=2) + "\n")
+        if options.vehicle == PAPER.name:
+            tuned = recorded_gains()["tuned"].get(options.name, {})
+            write_gains("tuned", options.name, {**tuned, options.speed_range: record})
+        else:
+            file = Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
+            write_atomically(file, json.dumps(record, indent=2) + "\n")
     return DONE
 
 
@@ -115,24 +118,8 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
     return vehicle_model
 
 
-def _file(options: Options) -> Path:
-    """Return the file to which the gains are written."""
-    if options.vehicle != PAPER.name:
-        return Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
-    return gain_file(options.name, options.speed_range)
-
-
-def _validated(speed_range: str, tunable: Tunable, gains: GainSet, vehicle_model: VehicleModel) -> dict[str, Any]:
-    """Return the results of gains on the validation episodes, compared with those of the expert."""
-    episodes = TuningEpisodes(speed_range, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, vehicle_model)
-    own = vehicle_model.in_paper_units.vehicle
-    policies = tunable.factory(dict(gains), vehicle=own), make_policy("backstepping", vehicle=own)
-    result, expert = (episodes.run(policy) for policy in policies)
-    return {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)}
-
-
-def _checked(options: Options) -> Budget:
-    """Return the budget; raise UsageError if an option is wrong."""
+def _budget(options: Options) -> Budget:
+    """Return the budget; raise UsageError if the controller or a number is wrong."""
     check_words("controller", [options.name], TUNABLES)
     cycle = len(tuning_scenarios(options.speed_range, "adverse"))
     if options.episodes < cycle or options.episodes % cycle:
@@ -148,19 +135,16 @@ def _checked(options: Options) -> Budget:
     return budget
 
 
-def _start(options: Options, tunable: Tunable, own: VehicleModel) -> GainSet:
-    """Return the initial gains of the search for a vehicle in the paper's units."""
-    try:
-        if options.start is not None:
-            start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))
-        elif own == PAPER:
-            start = load_gains(options.name, options.speed_range, tunable.names, "start")
-        else:
-            start = adapted_gains(options.name, options.speed_range, tunable.names, own)
-    except (AttributeError, OSError) as error:
-        raise UsageError(f"--start {options.start} has no gains: {error}") from error
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+def _start(options: Options, in_paper_units: VehicleModel) -> dict[str, float]:
+    """Return the initial gains of the search; raise ValueError if they are wrong, OSError if there is no file."""
+    names = TUNABLES[options.name].names
+    if options.start is not None:
+        record = read_json(options.start)
+        start = checked_gains(record.get("gains") if isinstance(record, dict) else record, names, str(options.start))
+    elif in_paper_units == PAPER:
+        start = load_gains(options.name, options.speed_range, names, "start")
+    else:
+        start = adapted_gains(options.name, options.speed_range, names, in_paper_units)
     if zero := [name for name, gain in start.items() if not gain > 0]:
-        raise UsageError(f"the search uses logarithms: the initial values of {', '.join(zero)} must be positive")
+        raise ValueError(f"the search uses logarithms: the initial values of {', '.join(zero)} must be positive")
     return start

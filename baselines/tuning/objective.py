@@ -1,31 +1,64 @@
-"""The objective of tuning: the error of a policy on a batch of episodes of several scenarios."""
+"""The controllers that can be tuned, and the objective: the error on a batch of episodes of several scenarios."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import Array
+from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel
 from auv_gym.task.policy import Policy
+from baselines.control import POLICIES, TUNED
+from baselines.control.nmpc.controller import NMPC_ADVERSE_GAINS, NMPC_GAINS
 from baselines.evaluation.metrics import Ended, effort, smoothness, steady_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import ERROR_CAPS, capped, has_failed
 
-_WORLDS = ("plain", "adverse")
-"""Disturbances to tune for: the eight cases of the speed range; or these, and as many storms with faults."""
+
+class Maker(Protocol):
+    """Factory of a policy with the same gains at every speed."""
+
+    def __call__(self, gains: dict[str, float], vehicle: Vehicle = ...) -> Policy:
+        """Return the policy for a nominal vehicle, by default the paper's."""
 
 
 @dataclass(frozen=True)
-class Result:
+class Tunable:
+    """A controller whose gains can be tuned."""
+
+    factory: Maker
+    names: Sequence[str]  # of the gains
+    world: str = "plain"  # see `tuning_scenarios`
+
+
+def _tunable(name: str, names: Sequence[str]) -> Tunable:
+    """Return the entry of a controller whose factory takes gains; a fault-tolerant one is tuned with faults."""
+    factory, _, options, _ = POLICIES[name]
+    world = "adverse" if name.endswith("-adverse") else "plain"
+    return Tunable(partial(factory, **options), names, world)
+
+
+TUNABLES: dict[str, Tunable] = {
+    **{name: _tunable(name, names) for name, (names, _) in TUNED.items()},
+    "nmpc": _tunable("nmpc", NMPC_GAINS),
+    "nmpc-adverse": _tunable("nmpc-adverse", NMPC_ADVERSE_GAINS),
+}
+"""The controllers that can be tuned, by name: add an entry here. It includes those of `TUNED`."""
+
+
+@dataclass(frozen=True)
+class TuningResult:
     """The results of a policy in a speed range."""
 
     error_m: float  # mean over the episodes of the capped steady-state RMSE
@@ -40,7 +73,7 @@ def tuning_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel =
 
     Args:
         speed_range: "slow" or "cruise".
-        world: one of `_WORLDS`.
+        world: "plain" for the eight cases of the speed range; "adverse" for these and as many storms with faults.
         vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
 
     Raises:
@@ -50,8 +83,8 @@ def tuning_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel =
     every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
     if vehicle_model == PAPER:
         return every
-    own = [replace(changed(s, vehicle_model.in_paper_units), name=s.name) for s in every]
-    return tuple(replace(s, substeps=max(other.substeps for other in own)) for s in own)
+    adapted = [replace(changed(s, vehicle_model.in_paper_units), name=s.name) for s in every]
+    return tuple(replace(s, substeps=max(other.substeps for other in adapted)) for s in adapted)
 
 
 class TuningEpisodes:
@@ -61,7 +94,7 @@ class TuningEpisodes:
         speed_range: "slow" or "cruise".
         episodes: their number; they cycle through `tuning_scenarios`.
         seed: episode i is drawn with seed + i.
-        world: one of `_WORLDS`.
+        world: see `tuning_scenarios`.
         vehicle_model: see `tuning_scenarios`.
     """
 
@@ -82,16 +115,16 @@ class TuningEpisodes:
 
         self._episodes = Repeatable(begin)
 
-    def run(self, policy: Policy) -> Result:
+    def run(self, policy: Policy) -> TuningResult:
         """Return the results of a policy.
 
         Raises:
             PolicyError: its actions are not finite.
         """
         steady_rmse, failed, actions = self.steady_rmses(policy)
-        return Result(
+        return TuningResult(
             error_m=float(steady_rmse.mean()),
-            case_error_m={name: float(own.mean()) for name, own in self.by_case(steady_rmse).items()},
+            case_error_m={name: float(errors.mean()) for name, errors in self.by_case(steady_rmse).items()},
             failed=float(np.mean(failed)),
             effort=effort(actions),
             smoothness=smoothness(actions),
@@ -114,7 +147,7 @@ class TuningEpisodes:
         return capped(ended, self.cap), has_failed(ended, self.cap), actions
 
 
-def compared(result: Result, expert: Result) -> dict[str, Any]:
+def compared(result: TuningResult, expert: TuningResult) -> dict[str, Any]:
     """Return a result as a dict, with the score and the ratios of effort and smoothness relative to the expert."""
     return {
         **asdict(result),

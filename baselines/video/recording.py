@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class Instant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class RecordedEpisode:
     """One episode of a policy, one row for each of K control instants."""
 
     policy: str
@@ -53,13 +53,8 @@ class Trajectory:
         return Instant(state, reference, current, waves, float(np.hypot(*(state[:2] - reference[:2]))))
 
 
-def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> Trajectory:
-    """Return the trajectory of a policy in an episode.
-
-    Args:
-        name: name of the policy, see `baselines.make_policy`.
-        scenario: scenario of the episode.
-        episode: the episode.
+def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> RecordedEpisode:
+    """Return the trajectory of a policy, named as in `baselines.make_policy`, in an episode of a scenario.
 
     Raises:
         OSError: the policy's file cannot be read.
@@ -70,18 +65,20 @@ def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> Trajectory
     if isinstance(policy, Privileged):
         policy.prepare(scenario, [episode])
     env, observation = beginning([(scenario, [episode])], preview_of(policy))
-    rows, failed = [_row(env)], False
+
+    def row() -> tuple[Array, Array, Array, Array]:
+        """Return state, reference, current and wave load of the only vehicle."""
+        return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy(), env.load[0]
+
+    rows, failed = [row()], False
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps)):
         failed = bool(moment.failed[0])
         if not failed and k + 1 < scenario.steps:
-            rows.append(_row(env))
+            rows.append(row())
     state, reference, current, load = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
     cos, sin = np.cos(state[:, 2]), np.sin(state[:, 2])
     waves = np.stack(to_world(load[:, 0], load[:, 1], cos, sin), axis=1)
-    return Trajectory(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, waves, failed)
-
-
-def _row(env: Any) -> tuple[Array, Array, Array, Array]:
-    """Return state, reference, current and wave load of the environment's only vehicle."""
-    return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy(), env.load[0]
+    return RecordedEpisode(
+        name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, waves, failed
+    )

@@ -14,7 +14,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.recorded import load_recorded
+from baselines.evaluation.recorded import recorded_runs
 from baselines.evaluation.report.columns import COLUMNS, ranked
 from baselines.evaluation.report.numbers import Entry, compare
 from baselines.evaluation.score import speed_range_of
@@ -99,8 +99,7 @@ def write(app: Sphinx) -> None:
         r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     cases, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
-    suite = load_suite(SUITE)
-    entries = [result.entry for result in compare(load_recorded(suite).runs, suite.anchors)]
+    entries = [result.entry for result in compare(recorded_runs(load_suite(SUITE)).runs)]
     for name, scenario in PRESETS.items():
         own = [entry for entry in entries if entry.place == name]
         texts[f"{name}.md"] = page(scenario, cases[name.removeprefix(f"{speed_range_of(name)}-")], own)

@@ -1,83 +1,49 @@
-"""Measure accuracy, time and size of exported agents: `python -m research deployment --help`."""
+"""Measure accuracy, time and size of exported agents: `python -m research deployment`; docs/export-cost.md shows them.
+
+It needs a C compiler, onnxruntime and the programs of `emulator.PROGRAMS`.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.policy import Policy
-from baselines.agents.names import shipped_agents
-from baselines.evaluation import recorded, suites
-from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.metrics import Measures
+from baselines.evaluation.cells import Cell, drawn
+from baselines.evaluation.fingerprints import code_fingerprint
+from baselines.evaluation.recorded import speed_ranges_of
 from baselines.evaluation.rollout import ControlStep, Repeatable, beginning, rollout
-from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import Score, capped, error_cap, lead, speed_range_of
+from baselines.evaluation.score import capped, error_cap, fixed, fixed_ends, relative_error, speed_range_of
+from baselines.evaluation.suites import load_suite
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, check_words, parse
-from baselines.tools.files import json_text, write_atomically
 from research.deployment.emulator import emulated
-from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
+from research.pages import table
+from research.study import Study, stamp
 
-PROGRAM = "python -m research deployment"
-_SUITE = "benchmark-v1"  # suite of the score
+_SUITE = "benchmark-v2"  # suite in which errors with small weights are compared
+_EPISODES = 24  # of each cell
 _CASE = "storm"  # case in which commands are compared: all disturbances together
 _SEED = 5  # seed of the episodes in which commands are compared
 _DECISIONS = 200  # number of decisions on the emulated processor
-AGENTS = ("apg-cruise", "helm", "helm-any", "helm-small", "ppo-cruise", "sac-cruise")
-"""Agents by default: networks of several sizes and kinds."""
+_AGENTS = ("apg-cruise", "helm", "helm-any", "helm-small", "ppo-cruise")
 
 
-@dataclass(frozen=True)
-class Options:
-    """Measure exported agents: difference from the agent over whole episodes, speed, size, and loss of score.
+def _measure(name: str, quick: bool = False) -> dict[str, Any]:
+    """Return the measurements of an agent.
 
-    Exit status: 0 done, 1 a program is missing, 2 wrong usage.
-    """
-
-    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]", help_behavior_hint="")] = AGENTS
-    """Names of shipped agents. Default: six of them."""
-    episodes: int = 24
-    """Episodes of each cell of the suite for the score."""
-    out: Path = MEASURED_FILE
-    """File for the measurements; `python -m research pages export-cost` shows them."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measurements of one agent."""
-
-    name: str
-    fingerprint: str
-    onnx32: float  # largest difference of a command over whole episodes, each in its own closed loop
-    c32: float
-    numpy_us: float  # processor time of a decision
-    onnx_us: float
-    c_us: float
-    header: int  # [bytes]
-    model: int  # [bytes]
-    score: float  # score of the agent on NumPy, in the same episodes
-    lost8: tuple[float, float, float]  # loss of score of the header with int8 weights, mean and interval
-    instructions: float  # for a decision on the emulated processor
-    code: int  # [bytes] code and constants on the emulated processor
-    code8: int  # the same with int8 weights
-    memory: int  # [bytes]
-    stack: int  # [bytes]
-
-
-def _measured(name: str, episodes: int) -> Measured:
-    """Measure an agent and return the results.
+    Returns:
+        `onnx32`, `c32`: largest difference of a command over whole episodes, each in its own closed loop; `numpy_us`,
+        `onnx_us`, `c_us`: processor time of a decision; `header`, `model`: sizes [bytes]; `int8`: ratio of the errors
+        with weights of int8 to the agent's, mean and interval; see also `_on_m4`.
 
     Raises:
         ImportError: onnx or onnxruntime is not installed.
@@ -86,28 +52,39 @@ def _measured(name: str, episodes: int) -> Measured:
     agent = exported(name)
     policy = agent.agent.policy()
     header, header8, model = HeaderPolicy(agent), HeaderPolicy(agent, weights="int8"), onnx_policy(agent, "float32")
-    moments = {key: _moments(agent, each) for key, each in (("numpy", policy), ("onnx32", model), ("c32", header))}
-    commands = {key: np.array([m.command for m in own]) for key, own in moments.items()}
-    differences = {key: float(np.abs(own - commands["numpy"]).max()) for key, own in commands.items()}
-    observations = np.array([m.observation[0] for m in moments["numpy"]])
-    score, lost8 = _scores(name, header8, episodes)
-    return Measured(
-        name=name,
-        fingerprint=fingerprint(name),
-        onnx32=differences["onnx32"],
-        c32=differences["c32"],
-        numpy_us=1e6 * _seconds(policy, observations),
-        onnx_us=1e6 * _seconds(model, observations),
-        c_us=1e6 * header.seconds(observations[-1]),
-        header=len(c_header(agent)),
-        model=len(onnx_model(agent, "float32").SerializeToString()),
-        score=score.mean,
-        lost8=(lost8.mean, *lost8.ci95),
-        **_on_m4(agent, header, observations[:_DECISIONS]),
+    steps, of_onnx, of_header = (_steps(agent, player) for player in (policy, model, header))
+    onnx32, c32 = (
+        max(float(np.abs(ours.command - theirs.command).max()) for ours, theirs in zip(steps, other, strict=True))
+        for other in (of_onnx, of_header)
     )
+    observations = np.array([step.observation[0] for step in steps])
+    cells = _cells(name)[: 2 if quick else None]
+    before, after = ([_errors(p, cell, 2 if quick else _EPISODES) for cell in cells] for p in (policy, header8))
+    growth = relative_error(before, after)
+    return {
+        "onnx32": onnx32,
+        "c32": c32,
+        "numpy_us": 1e6 * _seconds(policy, observations),
+        "onnx_us": 1e6 * _seconds(model, observations),
+        "c_us": 1e6 * header.seconds(observations[-1]),
+        "header": len(c_header(agent)),
+        "model": len(onnx_model(agent, "float32").SerializeToString()),
+        "int8": [growth.mean, *growth.ci95],
+        **_on_m4(agent, header, observations[: 20 if quick else _DECISIONS]),
+    }
 
 
-def _moments(agent: Exported, policy: Policy) -> list[ControlStep]:
+def _cells(name: str) -> list[Cell]:
+    return load_suite(_SUITE).cells_in(speed_ranges_of(name))
+
+
+def _errors(policy: Policy, cell: Cell, episodes: int) -> NDArray[np.float64]:
+    """Return the capped steady-state errors [m] of the first episodes of a cell."""
+    measures = rollout(policy, cell.scenario, cell.episodes[:episodes]).measures
+    return capped(measures, error_cap(cell.scenario.name))
+
+
+def _steps(agent: Exported, policy: Policy) -> list[ControlStep]:
     """Return the control steps of a policy in the episodes in which commands are compared."""
     scenario = PRESETS[f"{speed_range_of(agent.agent.scenarios[0])}-{_CASE}"]
     cell = scenario, drawn(scenario, 4, _SEED).episodes
@@ -128,48 +105,52 @@ def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) ->
     for observation in observations:
         memories.append(np.zeros(header.numbers) if memory is None else memory[0][0])
         _, memory = header.predict(observation, memory)
-    found = emulated(agent, observations, np.array(memories))
+    run = emulated(agent, observations, np.array(memories))
     small = emulated(agent, observations[:1], np.array(memories[:1]), "int8")
-    return {
-        "instructions": found.instructions,
-        "code": found.code,
-        "code8": small.code,
-        "memory": found.memory,
-        "stack": found.stack,
-    }
+    numbers = {key: getattr(run, key) for key in ("instructions", "code", "memory", "stack")}
+    return {**numbers, "code8": small.code}
 
 
-def _scores(name: str, policy: Policy, episodes: int) -> tuple[Score, Score]:
-    """Return the recorded score of an agent, and the loss of score of a policy that stands for it."""
-    suite = suites.load_suite(_SUITE)
-    kept = [{r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (*suite.anchors, name)]
-    cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
-
-    def steady_rmses(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
-        found = ((c.scenario.name, rows[c.scenario.name]) for c in cells)
-        return [capped(m[:episodes], error_cap(cell)) for cell, m in found if m is not None]
-
-    expert, oracle, own = (steady_rmses(rows) for rows in kept)
-    runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
-    theirs = [capped(m, error_cap(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
-    seed = [t[None] for t in own]
-    return lead(expert, expert, seed, oracle), lead(expert, theirs, seed, oracle)
+STUDY = Study(
+    "deployment",
+    [(name,) for name in _AGENTS],
+    _measure,
+    lambda name: stamp(
+        name,
+        [cell.scenario for cell in _cells(name)],
+        code_fingerprint("export", Path(__file__).parent),
+        load_suite(_SUITE).hash[:20],
+        _EPISODES,
+    ),
+)
+main = STUDY.main
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Measure agents and return the exit status.
+def agreement_section() -> str:
+    """Return the table of the largest differences of commands and of the growth of errors with int8 weights."""
+    values = {name: value for (name,), value in STUDY.values().items()}
+    rows = [
+        (name, *(f"{value[k]:.1e}" for k in ("onnx32", "c32")), fixed(value["int8"][0]), fixed_ends(value["int8"][1:]))
+        for name, value in values.items()
+    ]
+    return table(("agent", "ONNX", "header", "error ratio with int8", "interval"), rows)
 
-    Raises:
-        UsageError: the arguments are invalid.
-        OSError: a compiler or the emulator is missing.
-    """
-    options = parse(Options, arguments, PROGRAM)
-    check_words("agent", options.name, shipped_agents())
-    found = []
-    for name in options.name:
-        found.append(_measured(name, options.episodes))
-        last = found[-1]
-        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions", flush=True)
-    record = {"episodes": options.episodes, "agents": [asdict(measured) for measured in found]}
-    write_atomically(options.out, json_text(record))
-    return DONE
+
+def latency_section() -> str:
+    """Return the table of the processor time of a decision on a computer, and of the sizes of the exported files."""
+    heads = ("agent", "NumPy", "ONNX Runtime", "header", "header's size", "model's size")
+    return _table(heads, ("numpy_us", "onnx_us", "c_us"), "{:.1f} us", ("header", "model"))
+
+
+def cortex_m4_section() -> str:
+    """Return the table of the cost of a decision on the emulated Cortex-M4."""
+    heads = ("on the Cortex-M4", "instructions", "code", "code, int8", "memory", "stack")
+    return _table(heads, ("instructions",), "{:,.0f}", ("code", "code8", "memory", "stack"))
+
+
+def _table(heads: Sequence[str], numbers: Sequence[str], form: str, sizes: Sequence[str]) -> str:
+    rows = [
+        (name, *(form.format(value[k]) for k in numbers), *(f"{value[k] / 1024:.1f} KiB" for k in sizes))
+        for (name,), value in STUDY.values().items()
+    ]
+    return table(heads, rows)

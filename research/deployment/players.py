@@ -40,7 +40,7 @@ class HeaderPolicy:
             OSError: there is no compiler.
         """
         source = f"#define {PREFIX.upper()}_IMPLEMENTATION\n{c_header(agent, precision, weights)}{_BATCH}"
-        library = native.library(source)
+        library = native.library(source, lambda: source)
         if library is None:
             raise OSError("no C compiler is installed to compile the header: install gcc or clang")
         self.preview, self.precision = agent.preview, precision

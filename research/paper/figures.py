@@ -12,11 +12,12 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
 from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
-from research.paper.closed_loop import Response
+from research.paper.closed_loop import TIMES, ClosedLoopResponse
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
-EARLY = 40.0
-"""End of the panels with the transient [s]."""
+_EARLY = 40.0  # [s] end of the panels with the transient
+_VELOCITY_ERRORS = (("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0), ("r_e", "rad/s", 1.0))
+_POSE_ERRORS = (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi))
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
@@ -24,10 +25,10 @@ def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
     response = reproduction.response
     with styled():
         return {
-            "fig3_trajectory": to_png(trajectory(response)),
+            "fig3_trajectory": to_png(_trajectory(response)),
             "fig4_forces": to_png(_forces(response)),
-            "fig5_velocity_errors": to_png(velocity_errors(response)),
-            "fig6_tracking_errors": to_png(_tracking_errors(response)),
+            "fig5_velocity_errors": to_png(_errors(response, 3, _VELOCITY_ERRORS, "Fig. 5")),
+            "fig6_tracking_errors": to_png(_errors(response, 0, _POSE_ERRORS, "Fig. 6")),
         }
 
 
@@ -41,7 +42,7 @@ def _letter(axes: Sequence[Sequence[Axes]], titles: Sequence[str]) -> None:
         ax.set_title(f"({letter}) {title}", loc="left")
 
 
-def trajectory(response: Response) -> Figure:
+def _trajectory(response: ClosedLoopResponse) -> Figure:
     """Return figure 3: the circle and the trajectory of the centre of mass, whole and near the start."""
     figure, [[wide, near]] = panels(1, 2, (9.0, 5.1))
     circle = PAPER_CIRCLE.derivatives(np.linspace(0.0, 200 * np.pi, 721))[0]
@@ -67,7 +68,7 @@ def trajectory(response: Response) -> Figure:
     return figure
 
 
-def _forces(response: Response) -> Figure:
+def _forces(response: ClosedLoopResponse) -> Figure:
     """Return figure 4: control force and torque near time zero, and their convergence to those of the plan."""
     figure, axes = panels(2, 2, (9.0, 5.4))
     planned = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
@@ -75,11 +76,11 @@ def _forces(response: Response) -> Figure:
     for row, force, level, (name, unit, _) in zip(axes, response.force[:, CHOSEN], planned, names, strict=True):
         for ax in row:
             ax.axhline(level, **REFERENCE_STYLE, label=f"open loop: {level:.4g} {unit}")
-            ax.plot(response.t, force, color=COLOURS[0])
+            ax.plot(TIMES, force, color=COLOURS[0])
             ax.set(xlabel="time [s]", ylabel=f"{name} [{unit}]")
         row[0].set_xlim(0, 15)
         row[1].set_xlim(15, 60)
-        late = force[(response.t >= 15) & (response.t <= 60)]
+        late = force[(TIMES >= 15) & (TIMES <= 60)]
         margin = 0.08 * float(np.ptp(late))
         row[1].set_ylim(late.min() - margin, late.max() + margin)
         row[0].legend(loc="best")
@@ -89,7 +90,7 @@ def _forces(response: Response) -> Figure:
     return figure
 
 
-def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str, float]], title: str) -> Figure:
+def _errors(response: ClosedLoopResponse, first: int, names: Sequence[tuple[str, str, float]], title: str) -> Figure:
     """Return six panels: three errors from row `first` on, in the transient and as magnitudes to the end.
 
     `names` has the name, the unit and the factor to that unit of each error.
@@ -98,24 +99,14 @@ def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str
     for k, ((early, late), (name, unit, factor)) in enumerate(zip(axes, names, strict=True)):
         error = factor * response.errors[first + k, CHOSEN]
         early.axhline(0.0, **REFERENCE_STYLE)
-        early.plot(response.t, error, color=COLOURS[0])
-        early.set(xlim=(0, EARLY), ylabel=f"{name} [{unit}]")
-        late.semilogy(response.t, np.abs(error), color=COLOURS[0], linewidth=1.0)
+        early.plot(TIMES, error, color=COLOURS[0])
+        early.set(xlim=(0, _EARLY), ylabel=f"{name} [{unit}]")
+        late.semilogy(TIMES, np.abs(error), color=COLOURS[0], linewidth=1.0)
         late.axhline(1e-5, color=COLOURS[1], linewidth=1.0, label="the paper's floor, 1e-5")
-        late.set(xlim=(0, response.t[-1]), ylabel=f"|{name}| [{unit}]")
+        late.set(xlim=(0, TIMES[-1]), ylabel=f"|{name}| [{unit}]")
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     axes[0][1].legend(loc="upper right")
     _letter(axes, [text for name, *_ in names for text in (name, f"{name}, magnitude")])
     figure.suptitle(f"{title}: {_start_text()}", fontsize=10)
     return figure
-
-
-def velocity_errors(response: Response) -> Figure:
-    """Return figure 5: errors of the velocities."""
-    return _error_figure(response, 3, (("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0), ("r_e", "rad/s", 1.0)), "Fig. 5")
-
-
-def _tracking_errors(response: Response) -> Figure:
-    """Return figure 6: errors of position and heading."""
-    return _error_figure(response, 0, (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi)), "Fig. 6")

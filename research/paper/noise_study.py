@@ -11,8 +11,8 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import Backstepping
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import beginning, play
-from baselines.evaluation.runner import drawn
 
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate
@@ -35,23 +35,13 @@ class NoiseRun:
         """Standard deviations of F_u [N] and F_r [N m], shape (2,)."""
         return np.asarray(np.sqrt(np.mean(np.var(self.force, axis=1), axis=0)))
 
-    @property
-    def position_rms(self) -> float:
-        """Root mean square of the position error [m]."""
-        return float(np.sqrt(np.mean(np.square(self.error))))
-
-
-def noise_scenario(cut_off: float | None) -> Scenario:
-    """Return the scenario: the paper's circle from a start on it, with noise of 10 cm, 1 deg, 1 cm/s and 1 deg/s."""
-    sensors = Sensors(POSITION_NOISE, HEADING_NOISE, VELOCITY_NOISE, HEADING_NOISE, low_pass=cut_off)
-    return Scenario(name="paper-circle-noise", sensors=sensors, steps=2000)
-
 
 def noise_study() -> list[NoiseRun]:
-    """Return the runs of the printed law with each low-pass filter, all with the same noise."""
+    """Return the runs of the printed law from a start on the circle with each low-pass filter and the same noise."""
     runs = []
     for cut_off in CUT_OFFS:
-        scenario = noise_scenario(cut_off)
+        sensors = Sensors(POSITION_NOISE, HEADING_NOISE, VELOCITY_NOISE, HEADING_NOISE, low_pass=cut_off)
+        scenario = Scenario(name="paper-circle-noise", sensors=sensors, steps=2000)
         episodes = [drawn(scenario, 1, seed).episodes[0] for seed in _SEEDS]
         begun = beginning([(scenario, episodes)], ())
         moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[_TRANSIENT:]

@@ -8,28 +8,28 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, Circle
-from auv_gym.planning.planner import plan, printed_surge_rate
+from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from baselines.control.backstepping import GAINS
-from baselines.control.stability import (
+from research.paper.closed_loop import TIMES, ClosedLoopResponse, closed_loop_response, last_outside
+from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
+from research.paper.stability import (
     closed_loop_eigenvalues,
     derived_sign_forces,
     first_instability,
     spectral_abscissa,
 )
-from research.paper.closed_loop import Response, closed_loop_response, last_outside
-from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
 
 PAPER_GAINS = GAINS["paper"]  # gains that the paper prints
 SIGNS = tuple(itertools.product((1, -1), repeat=3))
@@ -38,14 +38,12 @@ _STARTS = np.array(SIGNS).T * np.array([[0.5], [1.0], [math.radians(20.0)]])
 """Initial errors of section V, x_e, y_e [m], psi_e [rad], shape (3, 8)."""
 CHOSEN = SIGNS.index((1, -1, 1))
 """Start in the figures: it needs the least surge force of the eight, and the paper mentions low effort."""
-TIMES = np.linspace(0.0, 100.0, 10001)
-"""Sampling times of the closed loop [s], with the range of the paper's figures."""
 FLOOR_TIME = 80.0
 """Time [s] after which the remaining error is taken as the error floor of the integrator."""
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One quantity: printed and recomputed value."""
 
     quantity: str
@@ -57,8 +55,7 @@ class Row:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class StartRow:
+class StartRow(NamedTuple):
     """Response of section V from the start with one combination of signs."""
 
     signs: str  # of x_e, y_e, psi_e
@@ -73,45 +70,28 @@ class StartRow:
 class Reproduction:
     """All recomputed numbers and responses of the paper."""
 
-    rows: list[Row]
+    rows: list[TableRow]
     starts: list[StartRow]
-    remarks: list[Row]
-    eigenvalues: NDArray[np.complex128]  # [1/s] on the paper's circle
-    response: Response  # of the closed loop from the eight starts
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the tables as plain lists and dicts."""
-        return {
-            "rows": [asdict(row) for row in self.rows],
-            "starts": [asdict(row) for row in self.starts],
-            "eigenvalues": [[value.real, value.imag] for value in self.eigenvalues.tolist()],
-            "remarks": [asdict(row) for row in self.remarks],
-        }
+    remarks: list[TableRow]
+    response: ClosedLoopResponse  # of the closed loop from the eight starts
 
 
-def reproduce_paper(on_part: Callable[[str], None] = lambda _: None) -> Reproduction:
-    """Return the reproduction; `on_part` is called with the name of each part before it is computed."""
-    on_part("section III: the plan")
-    rows = planner_rows() + printed_equation_rows()
-    on_part("section V: the closed loop from eight starts")
-    response = closed_loop_response(_STARTS, PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES)
-    rows += closed_loop_rows(response)
-    on_part("eigenvalues")
-    eigenvalues = closed_loop_eigenvalues(PAPER_VEHICLE, PAPER_GAINS, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate)
-    rows += stability_rows(eigenvalues)
-    on_part("noise study")
-    rows += noise_rows(noise_study())
-    return Reproduction(rows, start_rows(response), remarks(), eigenvalues, response)
+@cache
+def reproduce_paper() -> Reproduction:
+    """Return the reproduction."""
+    response = closed_loop_response(_STARTS)
+    rows = planner_rows() + printed_equation_rows() + closed_loop_rows(response) + stability_rows()
+    return Reproduction(rows + noise_rows(noise_study()), start_rows(response), remarks(), response)
 
 
 def _printed(
     quantity: str, place: str, paper: float, measured: float, unit: str, last_digit: float, note: str = ""
-) -> Row:
+) -> TableRow:
     """Return a row that agrees if the numbers differ by less than one unit of the last digit printed."""
-    return Row(quantity, place, paper, measured, unit, abs(measured - paper) < last_digit, note)
+    return TableRow(quantity, place, paper, measured, unit, abs(measured - paper) < last_digit, note)
 
 
-def planner_rows() -> list[Row]:
+def planner_rows() -> list[TableRow]:
     """Return the rows of the example of section III: the planner on the paper's circle."""
     times = np.array([0.0, 1.0])
     along = path_rates(PAPER_CIRCLE.derivatives(times))
@@ -130,6 +110,17 @@ def planner_rows() -> list[Row]:
     ]
 
 
+def printed_surge_rate(u_R: float, v_p: float, v_p_dot: float, omega: float, vehicle: Vehicle) -> float:
+    """Return u_R' [m/s^2] by (15) as printed, with the norm v_p^3 in place of its v_R^3, as (15') confirms.
+
+    It is for comparison only: it holds for clockwise curves (omega < 0) and is singular at u_R = v_p.
+    """
+    m11, m22, d22 = vehicle.m11, vehicle.m22, vehicle.d22
+    root = math.sqrt(max(v_p * v_p - u_R * u_R, 0.0))
+    bracket = d22 * u_R**2 * v_p - d22 * v_p**3 - m11 * omega * u_R * v_p * root
+    return (bracket + m11 * u_R**2 * v_p_dot - m22 * v_p_dot * v_p**2) / (u_R * v_p * (m11 - m22))
+
+
 def settled_surge(omega: float) -> float:
     """Return the u_R [m/s] that (15) as printed converges to from 1e-3 m/s, on a circle at the paper's speed."""
     v_p = PAPER_CIRCLE.speed
@@ -140,7 +131,7 @@ def settled_surge(omega: float) -> float:
     return float(solve_ivp(rate, (0.0, 20.0), [1e-3], rtol=1e-10, atol=1e-12).y[0, -1])
 
 
-def printed_equation_rows() -> list[Row]:
+def printed_equation_rows() -> list[TableRow]:
     """Return the rows of (15'): its coefficients, which determine four parameters of the vehicle, and its solution."""
     v, v_p, omega = PAPER_VEHICLE, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate
     tenfold = "the bracket is printed divided by ten"
@@ -153,14 +144,14 @@ def printed_equation_rows() -> list[Row]:
     ]
 
 
-def start_rows(response: Response) -> list[StartRow]:
+def start_rows(response: ClosedLoopResponse) -> list[StartRow]:
     """Return settling times, peaks and final error for each start."""
-    t, distance, psi_e, (F_u, F_r) = response.t, response.position_error, response.errors[2], response.force
+    distance, psi_e, (F_u, F_r) = response.position_error, response.errors[2], response.force
     return [
         StartRow(
             " ".join("+" if sign > 0 else "-" for sign in signs),
-            last_outside(t, distance[i], 0.05),
-            last_outside(t, psi_e[i], math.radians(1.0)),
+            last_outside(distance[i], 0.05),
+            last_outside(psi_e[i], math.radians(1.0)),
             float(np.abs(F_u[i]).max()),
             float(np.abs(F_r[i]).max()),
             float(distance[i, -1]),
@@ -171,19 +162,14 @@ def start_rows(response: Response) -> list[StartRow]:
 
 def integrator_floor() -> tuple[float, float, float]:
     """Return the remaining position [m], heading [deg] and velocity error [m/s] of RK45 with SciPy's tolerances."""
-    loose = [
-        closed_loop_response(
-            start[:, None], PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES, "RK45", rtol=1e-3, atol=1e-6
-        )
-        for start in _STARTS.T
-    ]
+    loose = [closed_loop_response(start[:, None], "RK45", rtol=1e-3, atol=1e-6) for start in _STARTS.T]
     late = TIMES >= FLOOR_TIME
     errors = np.concatenate([response.errors[:, :, late] for response in loose], axis=1)
     position, velocity = np.hypot(errors[0], errors[1]), np.abs(errors[3:5])
     return float(position.max()), float(np.degrees(np.abs(errors[2]).max())), float(velocity.max())
 
 
-def closed_loop_rows(response: Response) -> list[Row]:
+def closed_loop_rows(response: ClosedLoopResponse) -> list[TableRow]:
     """Return the rows of the claims of section V about convergence; `start_rows` has the single starts."""
     floor_m, floor_deg, floor_v = integrator_floor()
     last = float(response.position_error[:, -1].max())
@@ -191,10 +177,10 @@ def closed_loop_rows(response: Response) -> list[Row]:
     in_rad = f"{math.radians(floor_deg):.2g} rad: the paper's 1e-5 deg is probably in rad"
     exact = "largest of eight starts; the paper's 1e-5 is its integrator's, not the law's"
     return [
-        Row("position error at 100 s", "Fig. 6", 1e-5, last, "m", last < 1e-5, exact),
-        Row("floor of the position error", "Fig. 6", 1e-5, floor_m, "m", _same_order(floor_m), loose),
-        Row("floor of the velocity error", "Fig. 5", 1e-5, floor_v, "m/s", _same_order(floor_v), loose),
-        Row("floor of the heading error", "Fig. 6", 1e-5, floor_deg, "deg", _same_order(floor_deg), in_rad),
+        TableRow("position error at 100 s", "Fig. 6", 1e-5, last, "m", last < 1e-5, exact),
+        TableRow("floor of the position error", "Fig. 6", 1e-5, floor_m, "m", _same_order(floor_m), loose),
+        TableRow("floor of the velocity error", "Fig. 5", 1e-5, floor_v, "m/s", _same_order(floor_v), loose),
+        TableRow("floor of the heading error", "Fig. 6", 1e-5, floor_deg, "deg", _same_order(floor_deg), in_rad),
     ]
 
 
@@ -203,39 +189,40 @@ def _same_order(value: float) -> bool:
     return abs(math.log10(value / 1e-5)) < 0.5
 
 
-def stability_rows(eigenvalues: NDArray[np.complex128]) -> list[Row]:
+def stability_rows() -> list[TableRow]:
     """Return the rows of the linearised printed law with the paper's gains."""
+    eigenvalues = closed_loop_eigenvalues(PAPER_VEHICLE, PAPER_GAINS, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate)
     listed = ", ".join(f"{e.real:.3f}" + (f" +- {e.imag:.3f}i" if e.imag else "") for e in eigenvalues if e.imag >= 0)
     limit = first_instability(PAPER_VEHICLE, PAPER_GAINS, 0.3, 0.8)
     slowest = float(eigenvalues[0].real)
     return [
-        Row("largest real part on the circle", "section V", None, slowest, "1/s", None, f"eigenvalues {listed}"),
-        Row("speed at which straight lines turn unstable", "section V", None, limit, "m/s", None, "paper's gains"),
+        TableRow("largest real part on the circle", "section V", None, slowest, "1/s", None, f"eigenvalues {listed}"),
+        TableRow("speed at which straight lines turn unstable", "section V", None, limit, "m/s", None, "paper's gains"),
     ]
 
 
-def noise_rows(study: Sequence[NoiseRun]) -> list[Row]:
+def noise_rows(study: Sequence[NoiseRun]) -> list[TableRow]:
     """Return the rows of the noise study: noisy commands, a quiet vehicle, and less noise with low-pass filters."""
     raw, *filtered = study
     noisy, quiet, better = "noisy commands", "quiet vehicle, far below the noise of 10 cm", "less noise with a low-pass"
 
-    def quiet_row(run: NoiseRun, name: str) -> Row:
-        rms = run.position_rms
-        return Row(f"rms position error{name}", "section V", None, rms, "m", rms < POSITION_NOISE / 3, quiet)
+    def quiet_row(run: NoiseRun, name: str) -> TableRow:
+        rms = float(np.sqrt(np.mean(np.square(run.error))))
+        return TableRow(f"rms position error{name}", "section V", None, rms, "m", rms < POSITION_NOISE / 3, quiet)
 
     (F_u, F_r), (mean_u, mean_r) = raw.force_std.tolist(), np.abs(raw.force.mean(axis=(0, 1))).tolist()
     rows = [
-        Row("std of F_u under noise", "section V", None, F_u, "N", F_u > mean_u, noisy),
-        Row("std of F_r under noise", "section V", None, F_r, "N m", F_r > mean_r, noisy),
+        TableRow("std of F_u under noise", "section V", None, F_u, "N", F_u > mean_u, noisy),
+        TableRow("std of F_r under noise", "section V", None, F_r, "N m", F_r > mean_r, noisy),
         quiet_row(raw, " under noise"),
     ]
     for run in filtered:
         std, name = float(run.force_std[0]), f", low-pass at {run.cut_off:g} Hz"
-        rows += [Row(f"std of F_u{name}", "section V", None, std, "N", std < F_u, better), quiet_row(run, name)]
+        rows += [TableRow(f"std of F_u{name}", "section V", None, std, "N", std < F_u, better), quiet_row(run, name)]
     return rows
 
 
-def remarks() -> list[Row]:
+def remarks() -> list[TableRow]:
     """Return the rows of the printed equations that do not hold, each with a number as evidence."""
     speeds = (0.05, 0.1, 0.3, 1.0, 2.0)
     turned = Circle(PAPER_CIRCLE.speed, -PAPER_CIRCLE.turn_rate)
@@ -245,23 +232,23 @@ def remarks() -> list[Row]:
     saddle = min(spectral_abscissa(PAPER_VEHICLE, PAPER_GAINS, U, 0.0, derived_sign_forces) for U in speeds)
     compatible, tried = compatible_gains()
     return [
-        Row(
+        TableRow(
             "u_R on the circle run counter-clockwise", "(15)", u_turned, u_R, "m/s", False,
             f"(15) holds for clockwise curves only: as printed it ends without sideslip, not at {sideslip:.4f} deg",
         ),
-        Row(
+        TableRow(
             "factor of z_v in the bracket", "(46)", 1.0, -g, "m/s", False,
             "derived from (44a) it is -m11 u / m22, here at u_R; printed is + z_v",
         ),
-        Row(
+        TableRow(
             "largest real part with the derived sign", "(47)", None, saddle, "1/s", None,
             "with + g z_v in (47) straight lines are a saddle, tried at 0.05 ... 2 m/s; the printed - z_v works",
         ),
-        Row(
+        TableRow(
             "gains that meet both conditions", "after (48)", None, float(compatible), f"of {tried}", False,
             "c_r g^2 < k_psi and c_r g^2 > k_z + k_psi + ... exclude each other: (49)-(51) do not follow",
         ),
-        Row(
+        TableRow(
             "width of the interval for k_2", "after (33)", None, PAPER_GAINS.k - 1 / (4 * PAPER_GAINS.cu), "1/s", False,
             "k_2 < k and k_2 > 1 / (4 c_u) leave nothing for section V's gains",
         ),

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.faults import FAULTS, RandomFaults
+from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
 from auv_gym.scenarios.mixtures import slewing
 from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
@@ -34,6 +34,7 @@ BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside the
 _MISSION = 300.0  # [s] duration of a mission
 _SLEW = 2.0  # [s] time from zero to the limit of slewing actuators
 _OUTAGES = 3.0  # [1/min] rate of outages of the position fix
+_SHORT_SHEAR = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}  # [m] wavelength of a shear of the current
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] duration of an outage
 _FAR = 5.0  # [m] largest distance of a far start on each axis
 MASS_SHARES = (0.7, 1.3)  # masses of a vehicle as shares of the known ones
@@ -44,8 +45,8 @@ _WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
 _PERIOD = 0.05  # [s] control period
 _CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
 _TURN = {"slow": (-0.04, 0.04), "cruise": (-0.1, 0.1)}  # [rad/s] turn rate of a turning current
-_ACTUATOR_FAULTS = tuple(kind for kind in FAULTS if kind.endswith(("stuck", "dead", "one way")))
-_SENSOR_FAULTS = tuple(kind for kind in FAULTS if kind not in _ACTUATOR_FAULTS)
+_ACTUATOR_FAULTS = tuple(kind for kind in FAULT_KINDS if kind.endswith(("stuck", "dead", "one way")))
+_SENSOR_FAULTS = tuple(kind for kind in FAULT_KINDS if kind not in _ACTUATOR_FAULTS)
 
 
 @dataclass(frozen=True)
@@ -78,15 +79,8 @@ def seed_of(secret: str) -> int:
 
 
 def seals() -> dict[str, Seal]:
-    """Return the seals, by the names of their suites.
-
-    Raises:
-        SuiteError: the file cannot be read.
-    """
-    try:
-        return {name: Seal(**entry) for name, entry in read_json(SEALS).items()}
-    except (OSError, ValueError, TypeError) as error:
-        raise SuiteError(f"cannot read the seals: {error}") from error
+    """Return the seals, by the names of their suites."""
+    return {name: Seal(**entry) for name, entry in read_json(SEALS).items()}
 
 
 def write_seal(name: str, seal: Seal) -> None:
@@ -98,9 +92,7 @@ def write_seal(name: str, seal: Seal) -> None:
     known = seals()
     if name in known and known[name] != replace(seal, secret=known[name].secret):
         raise SuiteError(f"{name} is sealed already, with SHA-256 {known[name].sha256}")
-    known[name] = seal
-    record = {key: asdict(s) for key, s in sorted(known.items())}
-    write_atomically(SEALS, json_text(record))
+    write_atomically(SEALS, json_text({key: asdict(entry) for key, entry in sorted((known | {name: seal}).items())}))
 
 
 def seed(name: str) -> int:
@@ -131,12 +123,12 @@ def is_mission(scenario: Scenario) -> bool:
 
 def sealed_worlds(name: str) -> list[Scenario]:
     """Return the scenarios of a sealed suite: the storm of each speed range with each of its changes."""
-    found = []
-    for speed_range in SPEED_RANGES:
-        storm = PRESETS[f"{speed_range}-storm"]
-        changes = CHANGES[name](storm, speed_range)
-        found += [replace(storm, name=f"{speed_range}-{key}", **change) for key, change in changes.items()]
-    return found
+    storms = {speed_range: PRESETS[f"{speed_range}-storm"] for speed_range in SPEED_RANGES}
+    return [
+        replace(storm, name=f"{speed_range}-{key}", **change)
+        for speed_range, storm in storms.items()
+        for key, change in CHANGES[name](storm, speed_range).items()
+    ]
 
 
 def _second(storm: Scenario, speed_range: str) -> Changes:
@@ -147,9 +139,11 @@ def _second(storm: Scenario, speed_range: str) -> Changes:
     outages and far starts.
     """
     assert isinstance(storm.path, RandomPath)
+    assert isinstance(storm.mismatch, RandomMismatch)
+    assert isinstance(storm.current, RandomCurrent)
     slow = slewing(storm, _SLEW).actuators
     patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
-    vehicles = _vehicles(storm)
+    vehicles = replace(storm.mismatch, mass=MASS_SHARES, m33=MASS_SHARES, d11=DRAG, d22=DRAG, d33=DRAG)
     return {
         "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
         "beyond": {"path": replace(storm.path, speed=BEYOND[speed_range])},
@@ -165,7 +159,7 @@ def _second(storm: Scenario, speed_range: str) -> Changes:
             "actuators": replace(slow, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
             "sensors": replace(patchy, outages=1.0, heading_bias=(-0.04, 0.04)),
             "mismatch": vehicles,
-            "current": _sheared(storm, speed_range),
+            "current": replace(storm.current, shear=(0.1, 0.2), wavelength=_SHORT_SHEAR[speed_range]),
         },
     }
 
@@ -189,7 +183,7 @@ def _third(storm: Scenario, speed_range: str) -> Changes:
         "turning": {"current": turning},
         "chop": {"waves": chop},
         "all-at-once": {
-            "faults": RandomFaults(FAULTS, rate=1.0),
+            "faults": RandomFaults(FAULT_KINDS, rate=1.0),
             "actuators": weak,
             "current": turning,
             "waves": chop,
@@ -199,15 +193,3 @@ def _third(storm: Scenario, speed_range: str) -> Changes:
 
 CHANGES: Mapping[str, Callable[[Scenario, str], Changes]] = {"sealed-v2": _second, "sealed-v3": _third}
 """Functions that return the changes of a storm in a speed range, by sealed suite."""
-
-
-def _vehicles(storm: Scenario) -> RandomMismatch:
-    assert isinstance(storm.mismatch, RandomMismatch)
-    return replace(storm.mismatch, mass=MASS_SHARES, m33=MASS_SHARES, d11=DRAG, d22=DRAG, d33=DRAG)
-
-
-def _sheared(storm: Scenario, speed_range: str) -> RandomCurrent:
-    """Return the storm's current with a shear of short wavelength."""
-    assert isinstance(storm.current, RandomCurrent)
-    wavelength = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}[speed_range]
-    return replace(storm.current, shear=(0.1, 0.2), wavelength=wavelength)

@@ -20,15 +20,7 @@ from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
-from baselines.agents.filters import (
-    ACROSS,
-    ACROSS_MEASURED,
-    ALONG,
-    ALONG_MEASURED,
-    FILTER_GAINS,
-    LAGS,
-    speed_share,
-)
+from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, FILTER_GAINS, LAGS, speed_share
 from baselines.estimation.filter_equations import FilterUnits, excitation
 from baselines.estimation.kalman import Tuning
 from baselines.estimation.sea_model import PLACE, STATE_SIZE, Estimate, measurement, transition
@@ -99,19 +91,14 @@ def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHI
 
 def _table(speed_range: str, tuning: Tuning, lag: float) -> dict[str, Any]:
     """Return the polynomials of the gains of a filter in a speed range, in the format of `filters.gains`."""
-    speeds = _SPEEDS[speed_range]
+    speeds, at = _SPEEDS[speed_range], Estimate._fields.index  # the six measured entries have the same indices
     K = np.array([gain(speed, lag, tuning) for speed in speeds])
     powers = np.vander([speed_share(U) for U in speeds], DEGREE + 1, increasing=True)
     fit = np.linalg.lstsq(powers, K.reshape(len(speeds), -1), rcond=None)[0].reshape(DEGREE + 1, *K.shape[1:])
     return {
-        name: [[[float(f"{c:.6g}") for c in fit[:, _at(a), _at(b)]] for b in measured] for a in entries]
+        name: [[[float(f"{c:.6g}") for c in fit[:, at(a), at(b)]] for b in measured] for a in entries]
         for name, entries, measured in (("along", ALONG, ALONG_MEASURED), ("across", ACROSS, ACROSS_MEASURED))
     }
-
-
-def _at(name: str) -> int:
-    """Return the index of an entry of an `Estimate`. The six measured entries have the same indices."""
-    return Estimate._fields.index(name)
 
 
 def text() -> str:

@@ -1,243 +1,149 @@
-"""Fine-tune an agent to vehicles, and compare it with controllers: `python -m research fine-tuning --help`.
+"""Fine-tune an agent to vehicles, and compare it with controllers: `python -m research fine-tuning`.
 
-For each vehicle an agent is fine-tuned as by `auv-gym train --from AGENT --vehicle VEHICLE`. It runs the same held-out
-episodes of the cruise cases with a disturbance as the original agent and the controllers. All policies are given the
-vehicle model. docs/fine-tuning.md has the results.
+For each vehicle an agent is fine-tuned as by `auv-gym train --from BASE_AGENT --vehicle VEHICLE`. It runs the same
+held-out episodes of the cruise cases with a disturbance as the original agent and the controllers. All policies are
+given the vehicle model. docs/fine-tuning.md has the results.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from tyro.conf import arg
 
-from auv_gym.scenarios.presets import CASES
-from auv_gym.scenarios.presets import as_scenario as preset
+from auv_gym.scenarios.presets import CASES, as_scenario
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import vehicle_names
 from baselines.agents.names import AGENT_FOLDER
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import (
-    RIVAL,
-    capped,
-    count_failures,
-    error_cap,
-    fixed,
-    fixed_ends,
-    in_paper_metres,
-    relative_error,
-)
+from baselines.evaluation.score import RIVAL, Score, capped, count_failures, error_cap, in_paper_metres, relative_error
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, check_words, parse
-from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.command_line import DONE, WorkerError
 from baselines.tools.workers import DEFAULT_JOBS
-from baselines.training.command import train
-from baselines.training.hyperparameters import (
-    FINE_TUNING_FILE_NAME,
-    hyperparameter_words,
-    load_hyperparameters,
-    shipped,
-)
-from baselines.training.initial_agent import ALGO
-from baselines.training.options import Options as Training
-from research import DATA
-from research.pages import table
+from baselines.training.command import FINE_TUNING_METHOD, hyperparameter_words, read_hyperparameters, shipped
+from baselines.training.command import Options as Training
+from baselines.training.train import train_all
+from research.pages import table, with_interval
 from research.seeds import FINE_TUNING
-from research.trainings.trainings import SHIPPED_TRAININGS, request_of
+from research.study import Study, stamp
+from research.trainings.trainings import request_of
 
-PROGRAM = "python -m research fine-tuning"
 CONTROLLERS = ("backstepping", "los-pid", "ilos", "lqi", "ekf", RIVAL, "nmpc-adverse")
 """The controllers of the comparison; their gains are for the vehicle's parameters."""
-TUNED = "tuned"  # agent that is fine-tuned to a vehicle
-FINE_TUNING_FILE = DATA / "fine_tuning.json"  # record of the results
+BASE_AGENT = "helm-any"  # shipped agent that is fine-tuned
+TUNED_AGENT = "tuned"  # agent that is fine-tuned to a vehicle
 _DISTURBED = tuple(case for case in CASES if case != "calm")
+_EPISODES = 32  # of each case
+_RUNS = Path("runs/fine-tuning")
+"""Folder for the trainings, which continue if they were interrupted."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Fine-tune an agent to vehicles and compare it with the agent and with controllers on held-out episodes.
-
-    Rows in the file are not measured again, unless the policy has changed. Interrupted trainings continue.
-
-    Exit status: 0 done, 1 a training failed, 2 wrong usage.
-    """
-
-    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = tuple(vehicle_names())
-    """Names of published vehicles."""
-    agent: str = "helm-any"
-    """Shipped agent that is fine-tuned."""
-    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Policies to measure: "tuned", or names. Default: this one, the agent and the controllers."""
-    episodes: int = 32
-    """Number of episodes of each case."""
-    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Control steps of each training, for a trial run."""
-    runs: Path = Path("runs/fine-tuning")
-    """Folder for the trainings."""
-    out: Path = FINE_TUNING_FILE
-    """File for the results."""
-
-
-def recipe(timesteps: int | None = None) -> list[str]:
+def recipe() -> list[str]:
     """Return the settings that define a fine-tuning, as words NAME=VALUE."""
-    table = load_hyperparameters(shipped(ALGO), FINE_TUNING_FILE_NAME)
-    return hyperparameter_words({"timesteps": timesteps or table.timesteps, **table.values})
+    return hyperparameter_words(read_hyperparameters(shipped(FINE_TUNING_METHOD)))
 
 
-def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
-    """Return the errors of a policy in the cruise cases of a vehicle.
+def vehicle_scenarios(vehicle: str) -> list[Scenario]:
+    """Return the cruise cases with a disturbance for a vehicle."""
+    return [as_scenario(f"cruise-{case}@{vehicle}") for case in _DISTURBED]
+
+
+def _measure(vehicle: str, policy: str, quick: bool = False) -> dict[str, Any]:
+    """Return the errors of a policy on a vehicle; the policy is trained first if it is `TUNED_AGENT`.
 
     Returns:
         `steady_rmses`: for each case the steady-state errors, in metres of the paper's vehicle, at most the error cap;
-        `failed`: the number of failures; `command_rate`: the mean squared change of the command.
+        `failed`: the number of failures; `command_rate`: the mean squared change of the command; `seconds` of training.
     """
+    more = {}
+    if policy == TUNED_AGENT:
+        # A fine-tuning that started from another agent must not be resumed.
+        folder, begin = _RUNS / f"{'quick-' * quick}{vehicle}-{fingerprint(BASE_AGENT)[-8:]}", time.monotonic()
+        resumed = folder.exists()
+        training = replace(Training(), from_=BASE_AGENT, vehicle=vehicle, timesteps=20_000 if quick else None)
+        if train_all(request_of(training, folder, DEFAULT_JOBS)) != DONE:
+            raise WorkerError(f"the training for {vehicle} failed: {folder}")
+        policy = str(folder / AGENT_FOLDER)
+        more = {} if resumed else {"seconds": round(time.monotonic() - begin, 1)}
     steady_rmses, failed, rates = [], 0, []
-    for case in _DISTURBED:
-        scenario = preset(f"cruise-{case}@{vehicle}")
-        found = drawn(scenario, episodes, FINE_TUNING.first)
-        measures = rollout(make_policy(policy, scenario.known), scenario, found.episodes).measures
-        own, cap = in_paper_metres(measures, scenario), error_cap(scenario.name)
-        steady_rmses.append([float(f"{x:.4g}") for x in capped(own, cap)])
-        failed += count_failures(own, cap)
+    for scenario in vehicle_scenarios(vehicle):
+        cell, cap = drawn(scenario, 2 if quick else _EPISODES, FINE_TUNING.first), error_cap(scenario.name)
+        measures = in_paper_metres(
+            rollout(make_policy(policy, scenario.known), scenario, cell.episodes).measures, scenario
+        )
+        steady_rmses.append([float(f"{x:.4g}") for x in capped(measures, cap)])
+        failed += count_failures(measures, cap)
         rates.append(float(measures.smoothness.mean()))
-    return {"steady_rmses": steady_rmses, "failed": failed, "command_rate": float(f"{np.mean(rates):.4g}")}
+    return {"steady_rmses": steady_rmses, "failed": failed, "command_rate": float(f"{np.mean(rates):.4g}")} | more
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Train the agents, measure the errors, record them, and return the exit status.
-
-    Raises:
-        UsageError: the arguments are invalid.
-    """
-    options = parse(Options, arguments, PROGRAM)
-    check_words("vehicle", options.vehicle, vehicle_names())
-    check_words("agent", [options.agent], SHIPPED_TRAININGS)
-    if not fingerprint(options.agent):
-        train = f"python -m research train-all {options.agent} --install"
-        raise UsageError(f"--agent {options.agent} is not installed: {train} trains it")
-    if options.episodes < 2:
-        raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
-    names = options.policy or _compared(options.agent)
-    record = still_valid(options)
-    status = DONE
-    for vehicle in options.vehicle:
-        kept = record["vehicles"].setdefault(vehicle, {})
-        for name in names:
-            if name not in kept:
-                found = _measured(name, vehicle, options)
-                if own := found.pop("status", DONE):
-                    status = max(status, own)
-                    continue
-                kept[name] = found | {"fingerprint": row_fingerprint(name, options.agent)}
-                write_atomically(options.out, json_text(record))
-                print(f"{vehicle}: {name}", flush=True)
-    return status
+def _stamp(vehicle: str, policy: str) -> str:
+    if policy == TUNED_AGENT:
+        return stamp(BASE_AGENT, vehicle_scenarios(vehicle), _EPISODES, *recipe())
+    return stamp(policy, vehicle_scenarios(vehicle), _EPISODES)
 
 
-def still_valid(options: Options) -> dict[str, Any]:
-    """Return the record of a file, without the rows that are out of date.
-
-    A row is out of date if its policy has another `row_fingerprint`, or if it was tuned by another `recipe`. If the
-    agent or the number of episodes differs, no row stays.
-    """
-    record = read_json(options.out) if options.out.exists() else {}
-    if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
-        return {"agent": options.agent, "episodes": options.episodes, "vehicles": {}}
-    chosen = recipe(options.timesteps)
-    for vehicle, found in record["vehicles"].items():
-        record["vehicles"][vehicle] = {
-            name: row
-            for name, row in found.items()
-            if row.get("fingerprint") == row_fingerprint(name, options.agent) and row.get("set", chosen) == chosen
-        }
-    return record
-
-
-def row_fingerprint(name: str, agent: str) -> str:
-    """Return the fingerprint of a policy; for `TUNED` that of the agent that is tuned."""
-    return fingerprint(agent if name == TUNED else name)
-
-
-def _compared(agent: str) -> tuple[str, ...]:
-    """Return the policies of a comparison."""
-    return *CONTROLLERS, agent, TUNED
-
-
-def _measured(name: str, vehicle: str, options: Options) -> dict[str, Any]:
-    """Return the row of a policy, which is trained first if necessary; {"status": ...} if its training failed."""
-    if name != TUNED:
-        return errors(name, vehicle, options.episodes)
-    # A fine-tuning that started from another agent must not be resumed.
-    folder, begin = options.runs / f"{vehicle}-{fingerprint(options.agent)[:8]}", time.monotonic()
-    resumed = folder.exists()
-    training = replace(Training(), from_=options.agent, vehicle=vehicle, timesteps=options.timesteps)
-    if status := train(request_of(training, folder, DEFAULT_JOBS)):
-        return {"status": status}
-    took = {} if resumed else {"seconds": round(time.monotonic() - begin, 1)}
-    found = errors(str(folder / AGENT_FOLDER), vehicle, options.episodes)
-    return found | took | {"set": recipe(options.timesteps)}
+STUDY = Study(
+    "fine-tuning",
+    [(vehicle, policy) for vehicle in vehicle_names() for policy in (*CONTROLLERS, BASE_AGENT, TUNED_AGENT)],
+    _measure,
+    _stamp,
+)
+main = STUDY.main
 
 
 def fine_tuning_section() -> str:
     """Return the section of docs/fine-tuning.md with the results."""
-    record = read_json(FINE_TUNING_FILE)
-    agent, vehicles = record["agent"], record["vehicles"]
-    count = record["episodes"] * len(_DISTURBED)
-    rows = [_row(vehicle, found, agent) for vehicle, found in vehicles.items() if TUNED in found]
+    vehicles: dict[str, dict[str, Any]] = {}
+    for (vehicle, policy), value in STUDY.values().items():
+        vehicles.setdefault(vehicle, {})[policy] = value
+    count = _EPISODES * len(_DISTURBED)
     heads = [
-        "vehicle", "best controller", f"`{agent}`", "tuned", f"tuned / `{agent}`",
-        f"failures of {count}: best, `{RIVAL}`, `{agent}`, tuned", f"command rate / `{RIVAL}`", "training [s]",
+        "vehicle", "best controller", f"`{BASE_AGENT}`", "tuned", f"tuned / `{BASE_AGENT}`",
+        f"failures of {count}: best, `{RIVAL}`, `{BASE_AGENT}`, tuned", f"command rate / `{RIVAL}`", "training [s]",
     ]  # fmt: skip
     controllers = ", ".join(f"`{name}`" for name in CONTROLLERS)
+    least, *_, most = sorted(
+        np.mean(rows[TUNED_AGENT]["steady_rmses"]) / np.mean(rows[best_controller(rows)]["steady_rmses"])
+        for rows in vehicles.values()
+    )
     return (
-        f"The seven cruise cases with a disturbance, {record['episodes']} held-out episodes each, one training seed. "
+        f"The seven cruise cases with a disturbance, {_EPISODES} held-out episodes each, one training seed. "
         f"The *best controller* is that with the smallest error among {controllers}, chosen on these episodes. The "
         "next two columns are the errors of the agents over that of this controller: geometric means over the cases "
         "of the ratios of mean errors, with failures at the error cap. So a case with small errors has the same "
         "weight as one with large errors. Intervals (95 %) are over episodes. Only the agent is trained for the "
-        f"vehicle; gains of the controllers follow from its parameters. {_plain_means(vehicles)} The *command rate* "
-        "is that of the tuned agent. The training ran in two processes.\n\n"
-        f"{table(heads, rows, right=False)}"
+        "vehicle; gains of the controllers follow from its parameters. The mean error over all cases of the tuned "
+        f"agent is {least:.2f} to {most:.2f} times that of the best controller. The *command rate* is that of the "
+        "tuned agent. The training ran in two processes.\n\n"
+        f"{table(heads, [row_of(vehicle, rows) for vehicle, rows in vehicles.items()], right=False)}"
     )
 
 
-def _plain_means(vehicles: Mapping[str, Any]) -> str:
-    """Return a sentence with the ratios of the mean errors over all cases, which the largest errors dominate."""
-    means = [
-        [np.mean([np.mean(case) for case in found[name]["steady_rmses"]]) for name in (TUNED, best_controller(found))]
-        for found in vehicles.values()
-        if TUNED in found
+def best_controller(rows: Mapping[str, Any]) -> str:
+    """Return the controller with the smallest error of a vehicle's rows, see `error_ratio`."""
+    return min((name for name in CONTROLLERS if name in rows), key=lambda name: error_ratio(rows, name, RIVAL).mean)
+
+
+def error_ratio(rows: Mapping[str, Any], policy: str, other: str) -> Score:
+    """Return the error of a policy over that of another one."""
+    return relative_error(*([np.array(case) for case in rows[name]["steady_rmses"]] for name in (other, policy)))
+
+
+def row_of(vehicle: str, rows: Mapping[str, Any]) -> list[str]:
+    """Return the row of the table about a vehicle from its recorded rows, by policy."""
+    best = best_controller(rows)
+    ratios = [
+        with_interval(error_ratio(rows, *pair))
+        for pair in ((BASE_AGENT, best), (TUNED_AGENT, best), (TUNED_AGENT, BASE_AGENT))
     ]
-    ratios = sorted(own / best for own, best in means)
-    return (
-        f"The mean error over all cases of the tuned agent is {ratios[0]:.2f} to {ratios[-1]:.2f} times that of the "
-        "best controller."
-    )
-
-
-def best_controller(found: Mapping[str, Any]) -> str:
-    """Return the controller with the smallest error of a vehicle's rows, see `ratio`."""
-    return min((name for name in CONTROLLERS if name in found), key=lambda name: ratio(found, name, RIVAL)[0])
-
-
-def ratio(found: Mapping[str, Any], policy: str, other: str) -> tuple[float, tuple[float, float]]:
-    """Return the error of a policy over that of another one, and its 95 % interval."""
-    sides = ([np.array(case) for case in found[name]["steady_rmses"]] for name in (other, policy))
-    found_ratio = relative_error(*sides)
-    return found_ratio.mean, found_ratio.ci95
-
-
-def _row(vehicle: str, found: Mapping[str, Any], agent: str) -> list[str]:
-    best = best_controller(found)
-    pairs: Sequence[tuple[str, str]] = (agent, best), (TUNED, best), (TUNED, agent)
-    ratios = [f"{fixed(mean, 2)} ({fixed_ends(ends, 2)})" for mean, ends in (ratio(found, *pair) for pair in pairs)]
-    failures = ", ".join(str(found[name]["failed"]) for name in (best, RIVAL, agent, TUNED))
-    rate = found[TUNED]["command_rate"] / found[RIVAL]["command_rate"]
-    seconds = f"{found[TUNED]['seconds']:.0f}" if "seconds" in found[TUNED] else "-"
-    return [f"`{vehicle}`", f"`{best}`", *ratios, failures, fixed(rate, 2), seconds]
+    failures = ", ".join(str(rows[name]["failed"]) for name in (best, RIVAL, BASE_AGENT, TUNED_AGENT))
+    rate = rows[TUNED_AGENT]["command_rate"] / rows[RIVAL]["command_rate"]
+    seconds = f"{rows[TUNED_AGENT]['seconds']:.0f}" if "seconds" in rows[TUNED_AGENT] else "-"
+    return [f"`{vehicle}`", f"`{best}`", *ratios, failures, f"{rate:.2f}", seconds]

@@ -19,7 +19,7 @@ from auv_gym.physics.namespaces import FLOATS, Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
-    Inputs,
+    ModelInputs,
     SpatialMotion,
     Vector,
     coriolis,
@@ -52,11 +52,11 @@ _T_YAW = 1.0  # [s] in yaw
 FASTEST = 6 * 0.5144  # [m/s] speed at which the drag equals the largest thrust
 _DAMPING = (0.3, 0.2, 0.4)  # damping ratios of heave, roll and pitch
 YAW_DRAG = 10.0  # [s/rad] quadratic drag in yaw over the linear one
-AHEAD = 24.4 * GRAVITY  # [N] largest thrust of both propellers
-ASTERN = 13.6 * GRAVITY  # [N] the same astern
+THRUST_AHEAD = 24.4 * GRAVITY  # [N] largest thrust of both propellers
+THRUST_ASTERN = 13.6 * GRAVITY  # [N] the same astern
 K_AHEAD = 0.02216 / 2  # [N s^2] thrust of one propeller over the square of its revolutions
 K_ASTERN = 0.01289 / 2  # [N s^2] the same astern
-LAG = 0.1  # [s] of the propellers
+PROPELLER_LAG = 0.1  # [s] of the propellers
 
 
 class _Actuators(NamedTuple):
@@ -66,7 +66,7 @@ class _Actuators(NamedTuple):
     starboard: Number
 
 
-def thrust(n: Number, ns: Namespace) -> Number:
+def propeller_thrust(n: Number, ns: Namespace) -> Number:
     """Return the thrust [N] of one propeller at n [rad/s]."""
     square = n * abs(n)
     return ns.where(n > 0.0, K_AHEAD * square, K_ASTERN * square)
@@ -80,7 +80,7 @@ def propeller_speed(T: Number, ns: Namespace) -> Number:
 
 def shares(F_u: Number, F_r: Number, ns: Namespace) -> tuple[Number, Number]:
     """Return the thrust [N] of the propellers to port and to starboard; within the limits, yaw has priority."""
-    low, high = -ASTERN / 2, AHEAD / 2
+    low, high = -THRUST_ASTERN / 2, THRUST_AHEAD / 2
     half = ns.clip(F_r / (2 * PONTOON_ARM), -(high - low) / 2, (high - low) / 2)
     size = abs(half)
     mean = ns.clip(0.5 * F_u, low + size, high - size)
@@ -134,7 +134,7 @@ class Otter:
         M, G = np.diag(self.masses), np.diag(self.stiffness).copy()
         G[4] -= FLOTATION**2 * G[2]  # about the centre of flotation
         own = [2 * zeta * math.sqrt(G[i] * M[i]) for zeta, i in zip(_DAMPING, (2, 3, 4), strict=True)]
-        return np.array([AHEAD / FASTEST, M[1] / _T_SWAY, *own, M[5] / _T_YAW])
+        return np.array([THRUST_AHEAD / FASTEST, M[1] / _T_SWAY, *own, M[5] / _T_YAW])
 
     def placed(self, states: Array) -> Array:
         """Return the rows, shape (size, n), of floating boats with x, y, psi, u, v, r of shape (6, n)."""
@@ -157,7 +157,7 @@ class Otter:
     def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
         """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the propellers."""
         a = _Actuators(*rows[12:])
-        port, starboard = thrust(a.port, ns), thrust(a.starboard, ns)
+        port, starboard = propeller_thrust(a.port, ns), propeller_thrust(a.starboard, ns)
         return level(SpatialMotion(*rows[:12]), ns), (port + starboard, PONTOON_ARM * (port - starboard))
 
     def body_forces(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> list[Number]:
@@ -175,11 +175,11 @@ class Otter:
         restoring = times(self.stiffness.tolist(), (0.0, 0.0, s.z, s.phi, s.theta, 0.0))
         return [a - b + c for a, b, c in zip(drag, restoring, self.payload(s, ns), strict=True)]
 
-    def orders(self, first: Vector, inputs: Inputs, ns: Namespace) -> list[Number]:
+    def orders(self, first: Vector, inputs: ModelInputs, ns: Namespace) -> list[Number]:
         """Return the revolutions [rad/s] of the propellers for the commanded force."""
         return [propeller_speed(T, ns) for T in shares(inputs.F_u, inputs.F_r, ns)]
 
-    def rates(self, rows: Vector, orders: Vector, inputs: Inputs, d: Deviation, ns: Namespace) -> list[Number]:
+    def rates(self, rows: Vector, orders: Vector, inputs: ModelInputs, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
         s, a, scale = SpatialMotion(*rows[:12]), _Actuators(*rows[12:]), mass_scale(d, ns)
         _, (F_u, F_r) = self.seen(rows, ns)
@@ -191,7 +191,7 @@ class Otter:
         return [
             *place_rates(s, (inputs.V_x, inputs.V_y), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, scale),
-            *((order - n) / LAG for order, n in zip(orders, a, strict=True)),
+            *((order - n) / PROPELLER_LAG for order, n in zip(orders, a, strict=True)),
         ]
 
 

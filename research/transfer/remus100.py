@@ -19,13 +19,12 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
-    Inputs,
+    ModelInputs,
     SpatialMotion,
     Vector,
     coriolis,
     cross,
     cross_flow,
-    degrees,
     level,
     mass_scale,
     place_rates,
@@ -51,7 +50,7 @@ _DECAY = 3.0  # [s/m] linear drag of surge and sway decreases as exp(-3 U)
 FIN_AREA = 2 * 0.00665  # [m^2] of the rudder, and of the stern planes
 RUDDER_LIFT = 0.5  # [1/rad] lift coefficient of the rudder
 PLANE_LIFT = 0.7  # [1/rad] lift coefficient of the stern planes
-FIN_MOST = degrees(15.0)  # [rad]
+FIN_MOST = math.radians(15.0)  # [rad]
 FIN_LAG = 0.1  # [s] of rudder and stern planes
 PROPELLER_LAG = 1.0  # [s]
 RPM_MOST = 1525.0  # [1/min]
@@ -229,7 +228,7 @@ class Remus100:
         kept = 0.0, -a[2] * p, a[1] * p, v * a[2] - w * a[1] + turning[0], turning[1], turning[2]
         return [x + y for x, y in zip(coriolis(momentum, nu), kept, strict=True)]
 
-    def orders(self, first: Vector, inputs: Inputs, ns: Namespace) -> list[Number]:
+    def orders(self, first: Vector, inputs: ModelInputs, ns: Namespace) -> list[Number]:
         """Return rudder, stern planes [rad] and revolutions [1/min] for the commanded force and depth 0.
 
         The autopilot of the source controls the depth: PI control from depth to pitch, and PID control to the planes.
@@ -243,7 +242,7 @@ class Remus100:
             revolutions(inputs.F_u, WAKE * speed, ns),
         ]
 
-    def rates(self, rows: Vector, orders: Vector, inputs: Inputs, d: Deviation, ns: Namespace) -> list[Number]:
+    def rates(self, rows: Vector, orders: Vector, inputs: ModelInputs, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
         s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
         load = (inputs.X, inputs.Y, 0.0, 0.0, 0.0, inputs.N)

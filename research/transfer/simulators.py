@@ -1,83 +1,53 @@
-"""A simulator of vehicles with six degrees of freedom, for `research.transfer.bodies`."""
+"""A simulator of vehicles with six degrees of freedom, in place of the planar equations of motion of the environments.
+
+Only the dynamics differ: commanded forces, delays, current, waves, sensors and task are those of `simulation.step`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.namespaces import Array, Namespace
+from auv_gym.physics.actuators import ordered
+from auv_gym.physics.dynamics import Force, State
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+from auv_gym.physics.rows import flatten, unflatten
+from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.vehicles import vehicle_model
-from research.transfer.otter import OTTER
-from research.transfer.remus100 import REMUS100
-from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, Vector
+from auv_gym.task.kernels import ACTIONS, OUTCOMES, MakeSimulator, Outcome, Side
+from auv_gym.task.observation import SIZE, encode
+from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Parts, Plant, current_at, step
+from research.transfer.otter import OTTER, Otter
+from research.transfer.remus100 import REMUS100, Remus100
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, ModelInputs
 
-STEP = 0.02  # [s] longest integration step, as in the source
-_PLANAR = 6  # x, y, psi, u, v, r
-_FORCES = 2  # F_u, F_r
-
-
-class _Model(Protocol):
-    """The equations of a vehicle whose state is a row of `size` numbers."""
-
-    def __hash__(self) -> int:
-        """Return a hash: equations are compiled once for each model."""
-
-    @property
-    def name(self) -> str:
-        """Name of the vehicle, as in `scenarios.vehicles.vehicle_model`."""
-
-    @property
-    def size(self) -> int:
-        """Number of state variables."""
-
-    def placed(self, states: Array) -> Array:
-        """Return the rows, shape (size, n), for x, y, psi, u, v, r of shape (6, n); all else is in equilibrium."""
-
-    def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
-        """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the actuators."""
-
-    def orders(self, first: Vector, inputs: Inputs, ns: Namespace) -> Sequence[Any]:
-        """Return the commands of the inner loops to the actuators, from the rows at the beginning of a step."""
-
-    def rates(self, rows: Vector, orders: Vector, inputs: Inputs, d: Deviation, ns: Namespace) -> Sequence[Any]:
-        """Return the time derivative of the rows."""
-
-
-SIX_DOF_MODELS: Mapping[str, _Model] = {model.name: model for model in (REMUS100, OTTER)}
+_STEP = 0.02  # [s] longest integration step, as in the source
+SIX_DOF_MODELS: Mapping[str, Remus100 | Otter] = {model.name: model for model in (REMUS100, OTTER)}
 """The models by the names of their vehicles."""
 
 
-RATES_ROWS = {
-    "inputs": len(Inputs._fields),
-    "deviation": len(Deviation._fields),
-    "level": _PLANAR,
-    "forces": _FORCES,
-}
-"""Numbers of rows of the arrays of a `rates_kernel`; the other arrays have those of the vehicle's state."""
-
-
 @cache
-def rates_kernel(model: _Model) -> Kernel:
+def rates_kernel(model: Remus100 | Otter) -> Kernel:
     """Return the kernel of a vehicle's rates, planar state and forces.
 
     The commands to its actuators follow from the rows `began` at the beginning of a step.
     """
 
     def equation(began: Any, rows: Any, inputs: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
-        acting = Inputs(*inputs)
+        acting = ModelInputs(*inputs)
         orders = model.orders(began, acting, SYMBOLS)
         level, forces = model.seen(rows, SYMBOLS)
         rates = model.rates(rows, orders, acting, Deviation(*deviation), SYMBOLS)
         return {"rates": rates, "level": level, "forces": forces}
 
-    sizes = {array: RATES_ROWS[array] for array in ("inputs", "deviation")}
-    return Kernel.traced(equation, {"began": model.size, "rows": model.size, **sizes})
+    inputs = {"inputs": len(ModelInputs._fields), "deviation": len(Deviation._fields)}
+    return Kernel.traced(equation, {"began": model.size, "rows": model.size, **inputs})
 
 
 def _of_point(states: Array, eps: float) -> Array:
@@ -102,14 +72,12 @@ class SixDofSimulator:
 
     def __init__(self, vehicle: str, n: int) -> None:
         if vehicle not in SIX_DOF_MODELS:
-            raise ValueError(
-                f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
-            )
-        self._model = SIX_DOF_MODELS[vehicle]
-        known = vehicle_model(vehicle).vehicle
+            allowed = ", ".join(SIX_DOF_MODELS)
+            raise ValueError(f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {allowed}")
+        self._model, known = SIX_DOF_MODELS[vehicle], vehicle_model(vehicle).vehicle
         self._eps, self._side = known.eps, known.eps * known.m22 / known.m33
-        size = self._model.size
-        rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}
+        rows = {"inputs": len(ModelInputs._fields), "deviation": len(Deviation._fields), "level": 6, "forces": 2}
+        rows |= dict.fromkeys(("began", "rows", "rates"), self._model.size)
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}
         self._arrays["deviation"][:] = np.array(AS_PUBLISHED)[:, None]
         self._run = rates_kernel(self._model).bound(**self._arrays)
@@ -136,20 +104,17 @@ class SixDofSimulator:
         Returns:
             x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] of the actuators, shape (2, N).
         """
-        acting = Inputs(*inputs)  # a yaw moment from outside comes with a side force, as in the planar model
+        acting = ModelInputs(*inputs)  # a yaw moment from outside comes with a side force, as in the planar model
         self._arrays["inputs"][:] = acting._replace(Y=acting.Y - self._side * acting.N)
-        steps = math.ceil(dt / STEP - 1e-9)
-        for _ in range(steps):
-            self._step(dt / steps)
+        steps = math.ceil(dt / _STEP - 1e-9)
+        h = dt / steps
+        for _ in range(steps):  # classical Runge-Kutta steps
+            slope = self._rates(0.0).copy()
+            for share, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+                slope += weight * self._rates(share * h)
+            self.rows[:] += h / 6 * slope
         self._rates(0.0)
         return _of_point(self._arrays["level"], self._eps), self._arrays["forces"].copy()
-
-    def _step(self, h: float) -> None:
-        """Advance by a classical Runge-Kutta step of h [s]."""
-        slope = self._rates(0.0).copy()
-        for share, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-            slope += weight * self._rates(share * h)
-        self.rows[:] += h / 6 * slope
 
     def _rates(self, ahead: float) -> Array:
         """Return the rates at the rows that the last rates lead to in a time [s] from the beginning of the step."""
@@ -158,3 +123,81 @@ class SixDofSimulator:
         arrays["rows"] += arrays["began"]
         self._run(0, 1)
         return arrays["rates"]
+
+
+def deviation(true: Coefficients, known: Coefficients) -> Deviation:
+    """Return the deviation of a true planar vehicle from the known one, as floats or rows of shape (N,)."""
+    drag = d_u, d_v, d_r = true.d11 / known.d11, true.d22 / known.d22, true.d33 / known.d33
+    pairs = (true.X_uu, known.X_uu), (true.Y_vv, known.Y_vv), (true.N_rr, known.N_rr)
+    quadratic = (own - factor * usual for (own, usual), factor in zip(pairs, drag, strict=True))
+    return Deviation(true.m11 / known.m11, true.m22 / known.m22, true.m33 / known.m33, d_u, d_v, d_r, *quadratic)
+
+
+class SimulatorBodies:
+    """N vehicles of another simulator with the interface `kernels.Simulator`.
+
+    The actuator lag of an episode is ignored: the other simulator has its own.
+
+    Args:
+        simulator: the vehicles, with `place` and `advance` as `SixDofSimulator`.
+        known: the planar model of the vehicle.
+        parts: optional parts of the simulation that are in use.
+        samples: array for the rows of `simulation.Sample`, shape (T, SAMPLE_ROWS, N).
+        parameters: array for the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+    """
+
+    def __init__(
+        self, simulator: SixDofSimulator, known: Vehicle, parts: Parts, samples: Array, parameters: Array
+    ) -> None:
+        n = samples.shape[-1]
+        self.parts, self.action, self.outcome = parts, np.zeros((ACTIONS, n)), np.zeros((OUTCOMES, n))
+        self.now = Side(np.zeros((PLANT_ROWS, n)), np.zeros((SIZE, n)))
+        self._known, self._samples, self._rows, self._simulator = known, samples, parameters, simulator
+
+    @property
+    def plant(self) -> Plant:
+        """The present state of the plant: rows of shape (N,)."""
+        return unflatten(PLANT, tuple(self.now.plant))
+
+    def place(self, indices: Any, plant: Array, observation: Array) -> None:
+        """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
+        self.now.plant[:, indices], self.now.observation[:, indices] = plant, observation
+        true = Parameters.of(tuple(self._rows[:, indices]), self.parts).coefficients
+        self._simulator.place(indices, plant[:6], np.array(deviation(true, self._known.coefficients)))
+
+    def step(self, row: int) -> None:
+        """Advance by a control step with `action` and a row of the samples."""
+        p = Parameters.of(tuple(self._rows), self.parts)
+        with np.errstate(all="ignore"):  # vehicles that have failed may have NaN states
+            plant, terms, (reward, failed, squared, saturated) = step(
+                self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
+            )
+            observation = encode(terms, ARRAYS, self.parts.bound_factor)
+        self.outcome[:] = Outcome(reward, failed, np.sqrt(squared), saturated)
+        self.now = Side(np.stack(flatten(plant)), np.asarray(observation))
+
+    def undo(self) -> None:
+        """Raise RuntimeError. Only an environment that cannot plan an episode undoes a step; `rollout` plans none."""
+        raise RuntimeError("a step of another simulator cannot be undone")
+
+    def _moved(
+        self, state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
+    ) -> tuple[State, Force]:
+        """Return state and actuator forces one control period later, see `simulation.moved`."""
+        x, y, _, u, *_ = state
+        _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
+        inputs = ModelInputs(*ordered(command, u, p, ns), *current_at(x, y, (V_x, V_y), p, ns), X, Y, N)
+        after, forces = self._simulator.advance(np.stack(inputs), float(np.max(p.h)) * p.parts.substeps)
+        return (after[0], after[1], after[2], after[3], after[4], after[5]), (forces[0], forces[1])
+
+
+def bodies(factory: Callable[[int], SixDofSimulator], known: Vehicle) -> MakeSimulator:
+    """Return the argument `simulator` of `rollout` that makes a simulator move the vehicles.
+
+    Args:
+        factory: makes the simulator of N vehicles.
+        known: the planar model of the vehicle.
+    """
+    return lambda parts, samples, parameters: SimulatorBodies(
+        factory(samples.shape[-1]), known, parts, samples, parameters
+    )

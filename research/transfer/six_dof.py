@@ -6,7 +6,6 @@ y east, z down; the body's x ahead, y to starboard, z down; roll phi, pitch thet
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
@@ -42,7 +41,7 @@ class SpatialMotion(NamedTuple):
     r: Number  # [rad/s]
 
 
-class Inputs(NamedTuple):
+class ModelInputs(NamedTuple):
     """Inputs of a vehicle during a step: floats, or rows of shape (N,)."""
 
     F_u: Number  # [N] commanded force
@@ -168,8 +167,3 @@ def mass_scale(d: Deviation, ns: Namespace) -> tuple[Number, ...]:
     """Return the diagonal of S, where S M S is the mass matrix of a vehicle with a deviation."""
     a, b, c = ns.sqrt(d.m_u), ns.sqrt(d.m_v), ns.sqrt(d.m_r)
     return a, b, b, c, c, c
-
-
-def degrees(angle: float) -> float:
-    """Return an angle [deg] in radians."""
-    return angle * math.pi / 180.0

@@ -13,9 +13,9 @@ from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import VehicleModel, vehicle_model
 from baselines.identification.log import Log
-from baselines.identification.trials import EXAMPLE_CURRENT, PlantStep, Segment, Simulated, Trial, recorded
+from baselines.identification.trials import EXAMPLE_CURRENT, Segment, Simulated, Trial, recorded
 from research.transfer.simulators import SixDofSimulator
-from research.transfer.six_dof import AS_PUBLISHED, Inputs
+from research.transfer.six_dof import AS_PUBLISHED, ModelInputs
 
 DURATION = {"remus100": 240.0, "otter": 90.0}
 """Length [s] of a log."""
@@ -57,7 +57,7 @@ class SimulatedVehicle:
 
     def __call__(self, state: State, command: Force, dt: float) -> State:
         """Return x, y, psi, u, v relative to the water, r after dt [s] of a command [N], [N m]."""
-        inputs = np.array(Inputs(*command, *self._current, 0.0, 0.0, 0.0))[:, None]
+        inputs = np.array(ModelInputs(*command, *self._current, 0.0, 0.0, 0.0))[:, None]
         x, y, psi, u, v, r = self._simulator.advance(inputs, dt)[0][:, 0].tolist()
         return x, y, psi, u, v, r
 
@@ -90,21 +90,6 @@ def log(name: str) -> Log:
     return recorded(plant, trial, sensors, np.random.default_rng(0), EXAMPLE_CURRENT)
 
 
-def _steady_velocities(plant: PlantStep, F_u: float, F_r: float, speed: float) -> tuple[float, float, float]:
-    """Return the steady surge, sway velocity [m/s] and yaw rate [rad/s] of a vehicle under a force in still water.
-
-    Args:
-        plant: the vehicle.
-        F_u: surge force [N].
-        F_r: yaw moment [N m].
-        speed: initial surge velocity [m/s].
-    """
-    state = 0.0, 0.0, 0.0, speed, 0.0, 0.0
-    for _ in range(round(_TURN / _SAMPLE)):
-        state = plant(state, (F_u, F_r), _SAMPLE)
-    return state[3], state[4], state[5]
-
-
 def steady_motion(name: str) -> dict[str, list[dict[str, float]]]:
     """Return steady speeds and turning diameters of a vehicle under the same forces in both simulators.
 
@@ -115,16 +100,22 @@ def steady_motion(name: str) -> dict[str, list[dict[str, float]]]:
     """
     own = vehicle_model(name)
     speed, limits = own.vehicle.speed, _limits(own)
-    cruise = own.drag(speed)[0] * speed
 
-    def velocities(F_u: float, F_r: float) -> list[tuple[float, float, float]]:
-        plants = Simulated(own.vehicle, limits), SimulatedVehicle(SixDofSimulator(name, 1), speed=speed)
-        return [_steady_velocities(plant, F_u, F_r, speed) for plant in plants]
+    def velocities(force: Force) -> list[tuple[float, float, float]]:
+        """Return the steady u, v [m/s], r [rad/s] under a force in still water, in the plane and in 6-DOF."""
+        results = []
+        for plant in (Simulated(own.vehicle, limits), SimulatedVehicle(SixDofSimulator(name, 1), speed=speed)):
+            state: State = (0.0, 0.0, 0.0, speed, 0.0, 0.0)
+            for _ in range(round(_TURN / _SAMPLE)):
+                state = plant(state, force, _SAMPLE)
+            results.append((state[3], state[4], state[5]))
+        return results
 
     straight, turns = [], []
     for share in _SHARES:
-        plane, space = (u for u, _, _ in velocities(share * limits.F_u_max, 0.0))
-        straight.append({"F_u": share * limits.F_u_max, "plane": plane, "space": space})
-        plane, space = (2 * math.hypot(u, v) / r for u, v, r in velocities(cruise, share * limits.F_r_max))
-        turns.append({"F_r": share * limits.F_r_max, "plane": plane, "space": space})
+        F_u, F_r = share * limits.F_u_max, share * limits.F_r_max
+        plane, space = (u for u, _, _ in velocities((F_u, 0.0)))
+        straight.append({"F_u": F_u, "plane": plane, "space": space})
+        plane, space = (2 * math.hypot(u, v) / r for u, v, r in velocities((own.drag(speed)[0] * speed, F_r)))
+        turns.append({"F_r": F_r, "plane": plane, "space": space})
     return {"straight": straight, "turns": turns}

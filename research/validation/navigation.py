@@ -1,4 +1,4 @@
-"""Errors of a Doppler log at sea beside those that the suite deep-v1 draws, on the same tracks."""
+"""Errors of a Doppler log at sea beside those of the simulated instruments `INSTRUMENTS`, on the same tracks."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ import numpy as np
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.intervals import Interval, draw
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.navigation import heading_errors
+from auv_gym.physics.navigation import RandomReckoning, heading_errors
+from auv_gym.physics.sensors import Sensors
 from baselines.identification.columns import Format
-from baselines.tools.command_line import UsageError
-from research.suites.deep import INSTRUMENTS
 
-FOLDER = "snapir"
+SNAPIR = "snapir"
+INSTRUMENTS = Sensors(
+    position=1.5,  # [m] of a fix
+    heading=0.002,  # [rad]
+    velocity=0.01,  # [m/s]
+    yaw_rate=0.001,  # [rad/s]
+    heading_bias=(-0.02, 0.02),  # [rad] a gyro aligned to 1.1 deg
+    velocity_bias=(-0.005, 0.005),  # [m/s]
+    reckoning=RandomReckoning(),
+)
+"""The Doppler log and the gyro of the sources that `RandomReckoning` names, with their biases and alignment."""
 _DELAYS = np.arange(-3.0, 3.01, 0.05)  # [s] by which the log may come late; negative: the truth does
-DRAWS = 200  # sets of instruments of the suite for each track
+INSTRUMENT_SETS = 200  # sets of simulated instruments for each track
 _SEED = 20
 
 
-def compared(folder: Path) -> dict[str, Any]:
-    """Return the errors of the Doppler log in each section, and those of the suite's instruments on the same tracks.
+def navigation_errors(folder: Path) -> dict[str, Any]:
+    """Return the errors of the Doppler log in each section, and those of `INSTRUMENTS` on the same tracks.
 
     Raises:
-        UsageError: there are no sections.
+        OSError: there are no sections.
         ValueError: one of their files is no table.
     """
-    truths = sorted((folder / FOLDER).glob("GT_*.csv"), key=lambda file: int(file.stem[3:]))
+    truths = sorted((folder / SNAPIR).glob("GT_*.csv"), key=lambda file: int(file.stem[3:]))
     if not truths:
-        raise UsageError(f"{folder / FOLDER} has no files GT_*.csv")
+        raise OSError(f"{folder / SNAPIR} has no files GT_*.csv")
     rng = np.random.default_rng(_SEED)
     truth, doppler = Format.named("snapir-truth"), Format.named("snapir-log")
     sections = []
@@ -39,7 +48,7 @@ def compared(folder: Path) -> dict[str, Any]:
         track = truth.read(file)
         section, measured = _section(track, doppler.read(file.with_name(f"DVL_{file.stem[3:]}.csv")))
         for name, heading in (("suite_drift_m", False), ("suite_whole_drift_m", True)):
-            section[name] = _rms([_drift(track, *_of_suite(track, rng, heading)) for _ in range(DRAWS)])
+            section[name] = _rms([_drift(track, *_of_suite(track, rng, heading)) for _ in range(INSTRUMENT_SETS)])
         section["drift_m"] = _drift(track, *measured)
         sections.append(section)
     reckoning = INSTRUMENTS.reckoning
@@ -101,7 +110,7 @@ def _section(track: Mapping[str, Array], log: Mapping[str, Array]) -> tuple[dict
 
 
 def _of_suite(track: Mapping[str, Array], rng: np.random.Generator, heading: bool) -> tuple[Array, Array]:
-    """Return the velocities of a track as instruments of the suite measure them, along the true or a wrong heading."""
+    """Return the velocities of a track as `INSTRUMENTS` measure them, along the true or a wrong heading."""
     t, u, v = (track[name] for name in "tuv")
     reckoning = INSTRUMENTS.reckoning
     assert reckoning is not None

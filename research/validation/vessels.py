@@ -12,10 +12,9 @@ import numpy as np
 
 from baselines.identification import Identified, Log, identify
 from baselines.identification.columns import Format
-from baselines.identification.held_out import PREDICTORS, HeldOut, held_out, rms
 from baselines.identification.log import joined
 from baselines.identification.model import is_current, names_of
-from baselines.tools.command_line import UsageError
+from baselines.identification.prediction import PREDICTORS, HeldOut, held_out, rms
 
 BIN, BINS = 10.0, 6
 """Length [s] and number of the parts of a prediction of which errors are recorded."""
@@ -49,17 +48,17 @@ def runs_of(name: str, folder: Path) -> dict[str, Log]:
     """Return the runs of a vessel by the names of their files.
 
     Raises:
-        UsageError: there are fewer files than folds.
+        OSError: there are fewer files than folds.
     """
     vessel = VESSELS[name]
     files = sorted((folder / name).glob(vessel.files))
     if len(files) < vessel.folds:
-        raise UsageError(f"{folder / name} has {len(files)} files {vessel.files}; it must have {vessel.folds} or more")
+        raise OSError(f"{folder / name} has {len(files)} files {vessel.files}; it must have {vessel.folds} or more")
     form = Format.named(vessel.form)
     return {file.stem: Log.load(file, form) for file in files}
 
 
-def fitted(name: str, logs: Sequence[Log]) -> Identified:
+def fitted_vessel(name: str, logs: Sequence[Log]) -> Identified:
     """Return the model that is fitted to some runs of a vessel, in water without a current."""
     log = joined(logs)
     still = {name: 0.0 for name in names_of(log) if is_current(name)}
@@ -77,7 +76,7 @@ def cross_validated(name: str, folder: Path) -> dict[str, Any]:
     results: list[tuple[list[str], Identified, HeldOut]] = []
     for k in range(folds):
         out = list(logs)[k::folds]
-        found = fitted(name, [log for run, log in logs.items() if run not in out])
+        found = fitted_vessel(name, [log for run, log in logs.items() if run not in out])
         results.append((out, found, held_out(found, joined([logs[run] for run in out]))))
         print(f"{name}: {', '.join(out)}: {math.degrees(results[-1][2].rms['model'][0]):.2f} degrees", flush=True)
     runs = {

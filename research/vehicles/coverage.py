@@ -10,8 +10,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,83 +18,68 @@ from scipy.stats import binomtest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
+from baselines.evaluation.fingerprints import code_fingerprint
 from baselines.identification import identify
-from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
-from baselines.identification.fit import UNKNOWN
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
+from baselines.identification.trials import EXAMPLE_ACTUATORS as EXAMPLE
 from baselines.identification.trials import EXAMPLE_CURRENT, Simulated, Trial, example, recorded
-from baselines.tools.command_line import DONE, UsageError, checked_folder, parse
-from baselines.tools.files import json_text, read_json, write_atomically
-from research import DATA
+from research.pages import table
+from research.study import Study
 
-PROGRAM = "python -m research identification-coverage"
 _VEHICLES = {
-    "the paper's vehicle": PAPER_VEHICLE,
-    "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
+    "paper": PAPER_VEHICLE,
+    "quadratic-drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
 }
-"""The simulated vehicles by name."""
+"""The simulated vehicles by row."""
 _ARM = 1.0  # [m]
 _OUTSIDE = {
-    "side force of the rudder": Simulated(PAPER_VEHICLE, EXAMPLE, EXAMPLE_CURRENT, _ARM),
-    "rate limits of the actuators": Simulated(
-        PAPER_VEHICLE, replace(EXAMPLE, F_u_rate=200.0, F_r_rate=100.0), EXAMPLE_CURRENT
-    ),
+    "rudder": Simulated(PAPER_VEHICLE, EXAMPLE, EXAMPLE_CURRENT, _ARM),
+    "rate-limits": Simulated(PAPER_VEHICLE, replace(EXAMPLE, F_u_rate=200.0, F_r_rate=100.0), EXAMPLE_CURRENT),
 }
-"""Simulated vehicles with effects that the model lacks, by effect."""
+"""Simulated vehicles with effects that the model lacks, by row."""
+_LABELS = {
+    "paper": "the paper's vehicle",
+    "quadratic-drag": "with quadratic drag",
+    "rudder": "side force of the rudder",
+    "rate-limits": "rate limits of the actuators",
+}
 _SHOWN = tuple(name for name in FITTED_PARAMETERS if name not in CROSS_TERMS)
 """Names of the counted parameters."""
-_FILE = DATA / "identification.json"  # record of the results
+_LOGS = 80  # logs of each vehicle; half as many of each effect that the model lacks
 _NEAR = 0.05  # largest relative error of a value that counts as near
 
 
-@dataclass(frozen=True)
-class Options:
-    """Measure the coverage of the confidence intervals of an identification on simulated logs.
-
-    Exit status: 0 done, 2 wrong usage.
-    """
-
-    logs: int = 80
-    """Number of logs of each vehicle; half as many of each effect that the model lacks."""
-    out: Path = _FILE
-    """File for the counts."""
+def _measure(row: str, quick: bool = False) -> dict[str, Any]:
+    logs = 2 if quick else _LOGS
+    return _counted(row, logs) if row in _VEHICLES else _misfits(_OUTSIDE[row], logs // 2)
 
 
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return counts, errors and processor time of the identifications of a vehicle from a number of logs."""
     vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
     truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
-    truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
-    held, near = dict.fromkeys(_SHOWN, 0), dict.fromkeys(_SHOWN, 0)
-    errors: dict[str, list[float]] = {n: [] for n in _SHOWN}
-    unknown, whole, misfit = dict.fromkeys(_SHOWN, 0), 0, 0
+    truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE.lag}
     begin = time.process_time()
-    for seed in range(logs):
-        found = identify(example(vehicle, EXAMPLE, sensors, seed))
-        misfit += found.misfit
-        good = []
-        for e in map(found.__getitem__, _SHOWN):
-            inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
-            good.append(inside or error <= _NEAR * abs(truth[e.name]))
-            held[e.name] += inside
-            near[e.name] += good[-1]
-            unknown[e.name] += e.verdict == UNKNOWN
-            errors[e.name].append(error / (abs(truth[e.name]) or 1.0))
-        whole += all(good)
-    seconds = (time.process_time() - begin) / logs
-    rows = {
-        n: {
-            "true": truth[n],
-            "held": held[n],
-            "near": near[n],
-            "unknown": unknown[n],
-            "median": float(np.median(errors[n])),
-            "worst": max(errors[n]),
+    fits = [identify(example(vehicle, EXAMPLE, sensors, seed)) for seed in range(logs)]
+    seconds, whole, parameters = (time.process_time() - begin) / logs, np.ones(logs, dtype=bool), {}
+    for parameter in _SHOWN:
+        true, estimates = truth[parameter], [fit[parameter] for fit in fits]
+        errors = np.abs([e.value - true for e in estimates])
+        held = np.array([e.low <= true <= e.high for e in estimates])
+        near = held | (errors <= _NEAR * abs(true))
+        whole &= near
+        relative = errors / (abs(true) or 1.0)
+        parameters[parameter] = {
+            "true": true,
+            "held": int(held.sum()),
+            "near": int(near.sum()),
+            "median": float(np.median(relative)),
+            "worst": float(relative.max()),
         }
-        for n in _SHOWN
-    }
-    return {"logs": logs, "processor_s": seconds, "whole": whole, "misfit": misfit, "parameters": rows}
+    misfit = sum(fit.misfit for fit in fits)
+    counts = {"whole": int(whole.sum()), "misfit": misfit, "parameters": parameters}
+    return {"logs": logs, "processor_s": seconds, **counts}
 
 
 def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
@@ -108,49 +92,40 @@ def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
     return {"logs": logs, "misfit": misfit}
 
 
-def _table(record: Mapping[str, Any]) -> str:
-    """Return the counts of a vehicle as a table in Markdown; errors of parameters that are 0 are in SI units."""
-    logs = record["logs"]
-    lines = [
-        f"| parameter | true | in the 95 % interval | in it or within 5 % | median error | worst of {logs} |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, row in record["parameters"].items():
-        size = "{:.2g}" if row["true"] == 0 else "{:.2%}"
-        median, worst = (size.format(row[key]).replace("%", " %") for key in ("median", "worst"))
-        lines.append(f"| {name} | {row['true']:g} | {row['held']} | {row['near']} | {median} | {worst} |")
-    held = sum(row["held"] for row in record["parameters"].values())
-    of = logs * len(record["parameters"])
-    near = sum(row["near"] for row in record["parameters"].values())
-    lines.append(f"| all | | {held / of:.1%} | {near / of:.1%} | | |".replace("%", " %"))
-    return "\n".join(lines) + "\n"
+STUDY = Study(
+    "identification-coverage",
+    [(row,) for row in _LABELS],
+    _measure,
+    lambda _: f"{code_fingerprint('identification')} {_LOGS}",
+)
+main = STUDY.main
 
 
 def coverage_section() -> str:
     """Return the part of docs/identify.md about the logs of each vehicle."""
-    records = read_json(_FILE)
-    return "\n".join([_of_misfit(records), *(_of_vehicle(name, records[name]) for name in _VEHICLES)])
-
-
-def _of_misfit(records: Mapping[str, Any]) -> str:
-    """Return the table of the reported misfits."""
-    lines = ["| logs | misfit reported |", "|---|---|"]
-    for name, record in records.items():
-        lines.append(f"| {name} | {_share([record['misfit']], record['logs'])} |")
-    return "\n".join(lines) + "\n"
+    values = STUDY.values()
+    misfits = [(_LABELS[row], _share([value["misfit"]], value["logs"])) for (row,), value in values.items()]
+    misfit_table = table(("logs", "misfit reported"), misfits, right=False)
+    return "\n\n".join([misfit_table, *(_of_vehicle(_LABELS[row], values[row,]) for row in _VEHICLES)])
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
-    """Return the results of a vehicle as text with a table."""
-    logs, rows = record["logs"], record["parameters"].values()
-    there = [row["near"] for row in rows if row["true"] != 0]
-    not_there = [row["near"] for row in rows if row["true"] == 0]
-    says = (
+    """Return the results of a vehicle as text with a table; errors of parameters that are 0 are in SI units."""
+    logs, rows = record["logs"], []
+    for parameter, row in record["parameters"].items():
+        form = "{:.2g}" if row["true"] == 0 else "{:.2%}"
+        errors = (form.format(row[key]).replace("%", " %") for key in ("median", "worst"))
+        rows.append((parameter, f"{row['true']:g}", row["held"], row["near"], *errors))
+    counts = record["parameters"].values()
+    shares = (f"{100 * sum(row[key] for row in counts) / (logs * len(counts)):.1f} %" for key in ("held", "near"))
+    present, absent = ([row["near"] for row in counts if (row["true"] != 0) == there] for there in (True, False))
+    heads = ("parameter", "true", "in the 95 % interval", "in it or within 5 %", "median error", f"worst of {logs}")
+    return (
         f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. "
-        f"Of the parameters that are not 0, {_share(there, logs)} are inside their interval or within 5 %; of those "
-        f"that are 0, {_share(not_there, logs)}. In {record['whole']} of {logs} logs this holds for all parameters."
+        f"Of the parameters that are not 0, {_share(present, logs)} are inside their interval or within 5 %; of those "
+        f"that are 0, {_share(absent, logs)}. In {record['whole']} of {logs} logs this holds for all parameters.\n\n"
+        f"{table(heads, [*rows, ('all', '', *shares, '', '')], right=False)}"
     )
-    return f"{says}\n\n{_table(record)}"
 
 
 def _share(counts: Sequence[int], logs: int) -> str:
@@ -158,25 +133,3 @@ def _share(counts: Sequence[int], logs: int) -> str:
     done, of = sum(counts), len(counts) * logs
     low, high = binomtest(done, of).proportion_ci(0.95) if of else (0.0, 1.0)
     return f"{done} of {of} ({100 * low:.1f} to {100 * high:.1f} %)"
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Identify the logs, record the results, and return the exit status.
-
-    Raises:
-        UsageError: the arguments are invalid.
-    """
-    options = parse(Options, arguments, PROGRAM)
-    if options.logs < 1:
-        raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
-    checked_folder(options.out.parent)
-    records: dict[str, Any] = {}
-    for name in _VEHICLES:
-        records[name] = _counted(name, options.logs)
-        print(_of_vehicle(name, records[name]), flush=True)
-        write_atomically(options.out, json_text(records))
-    for name, plant in _OUTSIDE.items():
-        records[name] = _misfits(plant, max(options.logs // 2, 1))
-        write_atomically(options.out, json_text(records))
-    print(_of_misfit(records))
-    return DONE

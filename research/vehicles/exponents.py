@@ -19,20 +19,20 @@ from tyro.conf import Positional, arg
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import VehicleModel
-from baselines.gains.loading import EXPONENTS, load_gains, vehicle_ratios
-from baselines.tools.command_line import DONE, UsageError, check_words, parse, typed
-from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.gains.loading import load_gains, vehicle_ratios, write_gains
+from baselines.tools.command_line import DONE, check_words, parse, typed
 from baselines.tools.seeds import TUNING
 from baselines.training.vehicle_models import SUBSTEPS, drawn_model
-from baselines.tuning.objective import TuningEpisodes
-from baselines.tuning.tunables import TUNABLES, Tunable
+from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes
 
 PROGRAM = "python -m research gain-exponents"
 _SPEED_RANGE = "cruise"
 _SCENARIO = replace(PRESETS["cruise-storm"], substeps=SUBSTEPS)
 """Scenario whose paths a random vehicle must be able to follow."""
 _EPISODES = 8  # of a vehicle in an evaluation, one in each case
+_VEHICLES, _SETS = 64, 8  # random vehicles of a step, and their sets, which the steps use in turn
+_STEPS = 100  # of the fit
+_RATE = 0.03  # learning rate at the start; it decreases linearly to zero
 _CHANGE = 0.2  # standard deviation of the changes of the logarithms
 _DECAY = 0.03  # weight decay
 _STEEPEST = 3.0  # bound of a vehicle's slope, so that one that fails does not count too much
@@ -41,21 +41,13 @@ _CHECK = (64, 100)  # number of vehicles, and index of the set, on which exponen
 
 @dataclass(frozen=True)
 class Options:
-    """Fit the exponents of a controller's gains and write them to baselines/gains/exponents.json. It takes hours.
+    """Fit the exponents of a controller's gains and write them to baselines/gains/gains.json. It takes hours.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the controller."""
-    steps: int = 100
-    """Steps of the fit."""
-    vehicles: int = 64
-    """Random vehicles of a step."""
-    sets: int = 8
-    """Sets of vehicles, which the steps use in turn."""
-    rate: float = 0.03
-    """Learning rate at the start; it decreases linearly to zero."""
 
 
 class RandomVehicles:
@@ -78,32 +70,27 @@ class RandomVehicles:
 
     def losses(self, tunable: Tunable, start: Mapping[str, float], changes: Array) -> Array:
         """Return the logarithm of each vehicle's error, for changes (vehicles, gains) of the logarithms of gains."""
-        each = zip(self._models, self._episodes, np.exp(changes), strict=True)
-        return np.array([_loss(tunable, start, model, episodes, factors) for model, episodes, factors in each])
+        losses = []
+        for model, episodes, factors in zip(self._models, self._episodes, np.exp(changes).tolist(), strict=True):
+            gains = {name: gain * factor for (name, gain), factor in zip(start.items(), factors, strict=True)}
+            losses.append(np.log(episodes.run(tunable.factory(gains, vehicle=model.vehicle)).error_m))
+        return np.array(losses)
 
 
-def _loss(
-    tunable: Tunable, start: Mapping[str, float], model: VehicleModel, episodes: TuningEpisodes, factors: Array
-) -> float:
-    gains = {name: gain * factor for (name, gain), factor in zip(start.items(), factors.tolist(), strict=True)}
-    return float(np.log(episodes.run(tunable.factory(gains, vehicle=model.vehicle)).error_m))
-
-
-def fitted(name: str, steps: int, sets: Sequence[RandomVehicles], rate: float) -> NDArray[np.float64]:
+def fitted_exponents(name: str, steps: int, sets: Sequence[RandomVehicles]) -> NDArray[np.float64]:
     """Return the exponents of a controller's gains, shape (gains, 2 len(RATIOS)).
 
     Args:
         name: of the controller.
         steps: of the optimiser Adam (D. P. Kingma and J. Ba, arXiv:1412.6980, 2015).
         sets: random vehicles, which the steps use in turn.
-        rate: learning rate at the start; it decreases linearly to zero.
     """
     import torch
 
     tunable, rng = TUNABLES[name], np.random.default_rng(0)
     start = load_gains(name, _SPEED_RANGE, tunable.names)
     exponents = torch.zeros((sets[0].ratios.shape[1], len(start)), dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.Adam([exponents], lr=rate, weight_decay=_DECAY)
+    optimiser = torch.optim.Adam([exponents], lr=_RATE, weight_decay=_DECAY)
     schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, steps)
     for step in range(steps):
         vehicles = sets[step % len(sets)]
@@ -118,7 +105,7 @@ def fitted(name: str, steps: int, sets: Sequence[RandomVehicles], rate: float) -
     return np.asarray(exponents.detach().numpy().T)
 
 
-def checked(name: str, exponents: Array, vehicles: RandomVehicles) -> dict[str, float]:
+def error_ratios(name: str, exponents: Array, vehicles: RandomVehicles) -> dict[str, float]:
     """Return how the errors with exponents, shape (gains, 2 len(RATIOS)), compare with those without any.
 
     Returns:
@@ -128,29 +115,20 @@ def checked(name: str, exponents: Array, vehicles: RandomVehicles) -> dict[str, 
     tunable = TUNABLES[name]
     start, changes = load_gains(name, _SPEED_RANGE, tunable.names), vehicles.ratios @ exponents.T
     growth = vehicles.losses(tunable, start, changes) - vehicles.losses(tunable, start, 0.0 * changes)
-    found = {"ratio": np.exp(growth.mean()), "largest": np.exp(growth.max()), "worse": np.mean(growth > np.log(1.02))}
-    return {"vehicles": len(growth), **{key: round(float(value), 3) for key, value in found.items()}}
+    values = {"ratio": np.exp(growth.mean()), "largest": np.exp(growth.max()), "worse": np.mean(growth > np.log(1.02))}
+    return {"vehicles": len(growth), **{key: round(float(value), 3) for key, value in values.items()}}
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit the exponents, record them, and return the exit status.
-
-    Raises:
-        UsageError: the arguments are invalid.
-    """
+    """Fit the exponents, record them, and return the exit status."""
     options = parse(Options, arguments, PROGRAM)
     check_words("controller", [options.name], TUNABLES)
-    for word in ("steps", "vehicles", "sets"):
-        if getattr(options, word) < 1:
-            raise UsageError(f"--{word} is {getattr(options, word)}; it must be at least 1")
-    if not 0 < options.rate <= 1:
-        raise UsageError(f"--rate is {options.rate}; it must be in (0, 1]")
-    sets = [RandomVehicles(options.vehicles, index) for index in range(options.sets)]
-    exponents = fitted(options.name, options.steps, sets, options.rate).round(3)
+    sets = [RandomVehicles(_VEHICLES, index) for index in range(_SETS)]
+    exponents = fitted_exponents(options.name, _STEPS, sets).round(3)
     entry = {
         "command": typed(PROGRAM, arguments),
-        "check": checked(options.name, exponents, RandomVehicles(*_CHECK)),
+        "check": error_ratios(options.name, exponents, RandomVehicles(*_CHECK)),
         "exponents": dict(zip(TUNABLES[options.name].names, exponents.tolist(), strict=True)),
     }
-    write_atomically(EXPONENTS, json_text(read_json(EXPONENTS) | {options.name: entry}))
+    write_gains("exponents", options.name, entry)
     return DONE

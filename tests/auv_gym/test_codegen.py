@@ -2,7 +2,6 @@
 
 import functools
 import math
-import pickle
 from dataclasses import replace
 
 import mpmath
@@ -17,10 +16,8 @@ from auv_gym.codegen.derivatives import PULLBACKS, directional, gradient, jacobi
 from auv_gym.codegen.elementary import sine_cosine
 from auv_gym.codegen.graph import OPERATIONS, SYMBOLS, TRUTHS, Graph, single
 from auv_gym.codegen.kernel import Kernel, together
-from auv_gym.codegen.printing import NUMPY, PYTHON
-from auv_gym.physics.dynamics import rk4_step
+from auv_gym.codegen.printing import PYTHON, c_language
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, tensors, wrap_angle
-from auv_gym.physics.vehicle import PAPER_VEHICLE
 
 NUMBERS = st.floats(-50, 50, allow_subnormal=False)
 PROGRAMS = st.lists(
@@ -163,7 +160,7 @@ def limited(z, ns):
 
 def test_every_operation_has_a_derivative_and_a_printed_form():
     assert set(PULLBACKS) == set(OPERATIONS) - TRUTHS
-    assert set(PYTHON.forms) == set(NUMPY.forms) == set(OPERATIONS)
+    assert set(PYTHON.forms) == set(c_language("float64").forms) == set(OPERATIONS)
 
 
 def test_constants_are_folded_and_equal_expressions_merged():
@@ -239,9 +236,9 @@ def test_kernels_carry_rows_from_step_to_step(n, back):
     rng = np.random.default_rng(3)
     z, h, push = rng.normal(size=(2, n)), rng.uniform(0, 0.1, (1, n)), rng.normal(size=(9, 1, n))
     kernel = oscillator(back)
-    for run_of in (kernel.bound, kernel._on_one if n == 1 else kernel._on_several):
+    for printed in (False, True):
         arrays = {"z": z.copy(), "h": h, "push": push, "passed": np.zeros((9, 2, n)), "end": np.zeros((1, n))}
-        (run_of(**arrays) if run_of == kernel.bound else run_of(arrays))(2, 5)
+        kernel._run_python(arrays, n, 2, 5) if printed else kernel.bound(**arrays)(2, 5)
         x, v = z
         passed = np.zeros((9, 2, n))
         for k in (6, 5, 4, 3, 2) if back else (2, 3, 4, 5, 6):
@@ -346,30 +343,5 @@ def test_constants_are_folded_as_in_numpy(operation, values):
     with np.errstate(all="ignore"):
         names = {"div": np.divide, "single": np.float32}
         expected = float(names.get(operation, getattr(np, operation, None))(*values))
-    on_float = given.copy()
-    out = {"out": np.empty((1, 1))}
-    kernel._on_one({"a": on_float, **out})(0, 1)
-    for found in (folded, out["out"].item()):
-        np.testing.assert_equal(found, expected)  # distinguishes 0 and -0
-
-
-def test_a_kernel_that_has_run_can_be_pickled():
-    kernel, given = oscillator(False), {"z": np.ones((2, 4)), "h": np.full((1, 4), 0.1), "push": np.ones((3, 1, 4))}
-    expected = kernel(3, **given)
-    again = pickle.loads(pickle.dumps(kernel))(3, **given)
-    for name, array in expected.items():
-        np.testing.assert_array_equal(again[name], array)
-
-
-def test_one_step_of_the_vehicle_as_a_kernel():
-    """The equations of motion in C and on floats."""
-
-    def equation(z):
-        x, y, psi, u, v, r, dt = z
-        return {"out": rk4_step((x, y, psi, u, v, r), (50.0, 1.0, 8.0), PAPER_VEHICLE.coefficients, dt, ns=SYMBOLS)}
-
-    z = np.random.default_rng(5).uniform(-1, 1, (7, 20))
-    out = Kernel.traced(equation, {"z": 7})(z=z)["out"]
-    for column, found in zip(z.T.tolist(), out.T, strict=True):
-        expected = rk4_step(tuple(column[:6]), (50.0, 1.0, 8.0), PAPER_VEHICLE.coefficients, column[6])
-        np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
+    for result in (folded, float(kernel._computed([given], 1)[0])):
+        np.testing.assert_equal(result, expected)  # distinguishes 0 and -0

@@ -1,12 +1,10 @@
-"""Vehicles with cross terms: the yaw rate of the plan, and environments of one and of many vehicles."""
+"""Vehicles with cross terms: the yaw rate of the plan, and paths and episodes that are refused."""
 
 import math
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from back_ends import assert_equals_scalars
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from matrix_form import matrix_form
@@ -39,14 +37,6 @@ def test_at_the_yaw_rate_of_the_plan_no_sway_force_is_missing(vehicle, v_p, omeg
     _, _, _, _, v_dot, r_dot = matrix_form(state, (F_u, side, F_r), vehicle)
     v_dot += vehicle.eps * r_dot  # of the tracked point
     assert v_dot == pytest.approx(v_p_dot * w + v_p * cosine * (omega - r), abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ["cruise-calm", "slow-storm"])
-def test_many_vehicles_with_cross_flow_are_as_many_single_ones(name):
-    scenario = replace(PRESETS[name], vehicle=CROSSED, steps=60)
-    many = gym.make_vec("UnderactuatedAUVTrack-v0", 2, "vector_entry_point", scenario=scenario)
-    scalars = [gym.make("UnderactuatedAUVTrack-v0", scenario=scenario) for _ in range(2)]
-    assert assert_equals_scalars(many, scalars, 62, scale=0.3, seed=3, atol=0.0) == 2
 
 
 def test_a_path_that_no_yaw_rate_follows_is_refused():

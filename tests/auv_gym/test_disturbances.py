@@ -215,29 +215,6 @@ def test_a_draw_uses_one_number_and_is_in_its_interval(low, width, number):
     assert next(numbers, None) is None
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "message"),
-    [
-        (RandomCurrent, {"speed": -0.1}, r"current speed is -0.1; it must be a number in \[0, 1000\]"),
-        (RandomCurrent, {"direction": (1.0,)}, r"current direction is \(1.0,\); it must be a number or a pair"),
-        (RandomCurrent, {"gust": math.nan}, "current gust is nan"),
-        (RandomCurrent, {"gust_time": 0.0}, "current gust_time is 0.0"),
-        (RandomCurrent, {"relative": 1}, "current relative is 1; it must be true or false"),
-        (RandomWaves, {"yaw": "0.1"}, "waves yaw is '0.1'"),
-        (RandomWaves, {"band": 0.8}, r"waves band is 0.8; it must be a pair \(low, high\)"),
-        (RandomWaves, {"band": (1.1, 0.5)}, "waves band is .* low must not be above high"),
-        (RandomWaves, {"components": 13}, r"waves components is 13; it must be an integer in \[1, 12\]"),
-        (RandomWaves, {"components": True}, "waves components is True"),
-        (RandomMismatch, {"d22": 0.0}, "mismatch d22 is 0.0"),
-        (RandomMismatch, {"quadratic": (0.0, math.inf)}, "mismatch quadratic is .* it must be a number in"),
-        (RandomMismatch, {"quadratic_drag": (1.0, 2.0)}, "mismatch quadratic_drag is .* three numbers"),
-    ],
-)
-def test_bad_parameters_are_refused(make, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        make(**arguments)
-
-
 def test_mismatch_with_too_small_mass_in_sway_is_refused():
     with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8; .* at least 0.8194"):
         Scenario(mismatch=RandomMismatch(ratio=(0.8, 1.2)))

@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from back_ends import assert_equals_scalars
 
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.faults import FAULTS, Fault, RandomFaults, fault_rows
+from auv_gym.physics.faults import FAULT_KINDS, Fault, RandomFaults, fault_rows
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 
 STORM = PRESETS["cruise-storm"]
@@ -90,11 +87,11 @@ def test_a_jump_moves_the_measured_position():
 
 
 def test_random_faults_have_their_rate_times_and_kinds():
-    random, rng = RandomFaults(FAULTS, rate=3.0, time=(2.0, 5.0), jump=(1.0, 2.0)), np.random.default_rng(0)
+    random, rng = RandomFaults(FAULT_KINDS, rate=3.0, time=(2.0, 5.0), jump=(1.0, 2.0)), np.random.default_rng(0)
     drawn = [random.draw(rng, 60.0) for _ in range(400)]
     assert np.mean([len(faults) for faults in drawn]) == pytest.approx(3.0, abs=0.3)
     every = [f for faults in drawn for f in faults]
-    assert {f.kind for f in every} == set(FAULTS)
+    assert {f.kind for f in every} == set(FAULT_KINDS)
     for f in every:
         assert 2.0 <= f.end - f.begin <= 5.0
         low, high = (1.0, 2.0) if f.kind == "position jump" else (0.0, 0.0)
@@ -103,36 +100,8 @@ def test_random_faults_have_their_rate_times_and_kinds():
 
 def test_a_fault_ends_when_the_next_one_begins():
     rows = fault_rows([Fault("yaw dead", 0.0, 5.0), Fault("surge dead", 2.0, 3.0)], 1.0, 8)
-    yaw, surge = FAULTS.index("yaw dead") + 1, FAULTS.index("surge dead") + 1
+    yaw, surge = FAULT_KINDS.index("yaw dead") + 1, FAULT_KINDS.index("surge dead") + 1
     assert rows[0].tolist() == [0, yaw, surge, 0, 0, 0, 0, 0]
-
-
-def test_the_vector_environment_has_the_same_faults():
-    scenario = replace(STORM, faults=RandomFaults(FAULTS, rate=10.0))
-    scalars = [UnderactuatedAUVTrackEnv(scenario) for _ in range(3)]
-    assert_equals_scalars(UnderactuatedAUVTrackVectorEnv(3, scenario), scalars, 200, scale=1.0)
-
-
-def test_a_scenario_file_can_have_faults():
-    scenario = replace(STORM, name="mine", faults=RandomFaults(("yaw stuck",), rate=1.0, time=4.0))
-    record = scenario.to_dict()
-    assert record["faults"] == {"kinds": ["yaw stuck"], "rate": 1.0, "time": 4.0}
-    assert Scenario.from_dict(record) == scenario
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"kinds": ()}, r"faults kinds is \(\); it must be a tuple of some of: surge stuck"),
-        ({"kinds": ("rudder lost",)}, r"faults kinds is \('rudder lost',\); it must be"),
-        ({"kinds": ("yaw dead",), "rate": -1.0}, "faults rate"),
-        ({"kinds": ("yaw dead",), "time": (5.0, 2.0)}, "faults time"),
-        ({"kinds": ("position jump",), "jump": -1.0}, "faults jump"),
-    ],
-)
-def test_wrong_faults_are_refused(given, message):
-    with pytest.raises(ValueError, match=message):
-        RandomFaults(**given)
 
 
 def test_an_episode_with_faults_needs_a_scenario_with_faults():

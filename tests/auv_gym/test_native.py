@@ -4,20 +4,17 @@ import ctypes
 import errno
 import logging
 import os
-import shlex
 import shutil
-import signal
 import stat
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from native_cache import forget
+from native_cache import compiled, forget
 
 from auv_gym.codegen import cache as cache_module
 from auv_gym.codegen import native
@@ -37,7 +34,7 @@ def libraries(folder):
 
 def result(source=SOURCE):
     """Return the result of the function of a source."""
-    function = native.library(source)["auv_test"]
+    function = compiled(source)["auv_test"]
     function.restype = ctypes.c_double
     return function()
 
@@ -82,26 +79,17 @@ def test_a_library_is_built_once(cache, monkeypatch):
 def test_a_warning_says_that_code_cannot_be_kept(cache, caplog):
     cache.write_text("a file where the folder should be")
     assert result() == 3
-    assert native.library(SOURCE + "\n") is not None
+    assert compiled(SOURCE + "\n") is not None
     (line,) = warnings_of(caplog)
     assert f"cannot be kept in {cache}: " in line
     assert "each process compiles again" in line
 
 
-@needs_compiler
-def test_the_warning_is_printed_if_logging_is_not_configured(cache):
-    cache.write_text("a file where the folder should be")
-    code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stderr.count("\n") == 1
-    assert "compiled code cannot be kept" in done.stderr
-
-
 def test_a_warning_says_that_there_is_no_compiler(cache, caplog, monkeypatch):
     monkeypatch.setenv("PATH", str(cache))
     monkeypatch.delenv("CC", raising=False)
-    assert native.library(SOURCE) is None
-    assert native.library(SOURCE + "\n") is None
+    assert compiled(SOURCE) is None
+    assert compiled(SOURCE + "\n") is None
     (line,) = warnings_of(caplog)
     assert "gcc: the program does not exist" in line
     assert "equations run as Python, several times slower" in line
@@ -110,14 +98,6 @@ def test_a_warning_says_that_there_is_no_compiler(cache, caplog, monkeypatch):
 
 
 BROKEN = '[ "$1" = --version ] && echo 1.0 && exit 0\necho "no disk" >&2\nexit 1'
-
-
-def test_a_warning_says_that_the_only_compiler_fails(cache, caplog, monkeypatch, tmp_path):
-    monkeypatch.setenv("CC", program(tmp_path, "broken-cc", BROKEN))
-    monkeypatch.setenv("PATH", str(cache))
-    assert native.library(SOURCE) is None
-    (line,) = warnings_of(caplog)
-    assert "no disk" in line
 
 
 @needs_compiler
@@ -145,26 +125,6 @@ def test_a_command_of_several_words_compiles(cache, monkeypatch, tmp_path):
 
 
 @needs_compiler
-def test_a_hanging_compiler_is_killed_with_its_children(cache, caplog, monkeypatch, tmp_path):
-    """It passes the trial and hangs at the first source; later sources do not wait for it."""
-    real, log = native.compiler()[0], tmp_path / "children"
-    forget()
-    text = f"""[ "$1" = --version ] && exec {real} --version
-cat > "$TMPDIR"/in
-if grep -q auv_test "$TMPDIR"/in; then sleep 1000 & echo $! >> {log}; wait; fi
-exec {real} "$@" < "$TMPDIR"/in"""
-    monkeypatch.setenv("CC", program(tmp_path, "hanging-cc", text))
-    monkeypatch.setattr(native, "_PATIENCE", 1.0)
-    assert [native.library(SOURCE + "\n" * i) for i in range(5)] == [None] * 5
-    (line,) = warnings_of(caplog)
-    assert "it exceeds 1 s, so equations run as Python" in line
-    (child,) = map(int, log.read_text().split())
-    with suppress(ProcessLookupError):
-        os.kill(child, 0)
-        assert Path(f"/proc/{child}/stat").read_text().split()[2] == "Z", "a zombie process"
-
-
-@needs_compiler
 def test_a_compiler_that_hangs_at_once_is_skipped(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", program(tmp_path, "hanging-cc", "sleep 1000"))
     monkeypatch.setattr(native, "_PATIENCE", 1.0)
@@ -173,11 +133,9 @@ def test_a_compiler_that_hangs_at_once_is_skipped(cache, monkeypatch, tmp_path):
 
 @needs_compiler
 def test_damaged_libraries_are_built_again(cache):
-    """A text file, an empty file, and a library of another source, without the symbol."""
     assert result() == 3
     (file,) = libraries(cache)
-    other = file.read_bytes().replace(b"auv_gym_", b"auv_no__")
-    for content in (b"not a library", b"", other):
+    for content in (b"not a library", b""):
         file.unlink()  # the loaded one stays mapped
         file.write_bytes(content)
         file.chmod(0o755)
@@ -188,9 +146,9 @@ def test_damaged_libraries_are_built_again(cache):
 
 
 @needs_compiler
-@pytest.mark.parametrize("reason", ["failed to map segment from shared object", "Too many open files"])
-def test_a_library_that_cannot_be_loaded_is_kept(cache, caplog, monkeypatch, reason):
+def test_a_library_that_cannot_be_loaded_is_kept(cache, caplog, monkeypatch):
     """For example in a home folder that is mounted noexec on one of two machines."""
+    reason = "failed to map segment from shared object"
     assert result() == 3
     (file,) = libraries(cache)
     before = file.stat()
@@ -255,8 +213,7 @@ def test_code_of_other_users_is_not_loaded(cache, monkeypatch):
         assert file.read_bytes() == planted
 
 
-@pytest.mark.parametrize("cache_variable", [None, "", "relative/cache"])
-@pytest.mark.parametrize("xdg", [None, "", "relative"])
+@pytest.mark.parametrize(("cache_variable", "xdg"), [(None, ""), ("", "relative"), ("relative/cache", None)])
 def test_empty_and_relative_folders_count_as_not_set(cache_variable, xdg, monkeypatch, tmp_path):
     for name, value in (("AUV_GYM_CACHE", cache_variable), ("XDG_CACHE_HOME", xdg), ("HOME", str(tmp_path))):
         monkeypatch.delenv(name, raising=False) if value is None else monkeypatch.setenv(name, value)
@@ -277,8 +234,8 @@ def test_without_a_folder_equations_run_as_python(cache, caplog, monkeypatch):
     def read_only():
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr(cache_module, "_temporary", read_only)
-    assert native.library(SOURCE) is None
+    monkeypatch.setattr(cache_module, "_temporary_folder", read_only)
+    assert compiled(SOURCE) is None
     (line,) = warnings_of(caplog)
     assert "cannot be kept in" in line
     assert "equations run as Python" in line
@@ -286,30 +243,8 @@ def test_without_a_folder_equations_run_as_python(cache, caplog, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("HOME", "nowhere")
     forget()
-    assert native.library(SOURCE) is None
+    assert compiled(SOURCE) is None
     assert "there is no folder for compiled code" in warnings_of(caplog)[-1]
-
-
-@needs_compiler
-def test_a_compiler_needs_no_other_temporary_folder(cache, monkeypatch, tmp_path):
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "missing"))
-    assert result() == 3
-
-
-@needs_compiler
-def test_with_a_full_disk_code_is_compiled_but_not_kept(cache, caplog, monkeypatch):
-    """There is space for the trial only; the compiler reports the error."""
-    real = native._compile
-
-    def compile_(command, source, made, flags):
-        if "auv_test" in source and made.is_relative_to(cache):
-            raise subprocess.CalledProcessError(1, command, stderr=b"ld: No space left on device\n")
-        real(command, source, made, flags)
-
-    monkeypatch.setattr(native, "_compile", compile_)
-    assert result() == 3
-    (line,) = warnings_of(caplog)
-    assert "No space left on device" in line
 
 
 @needs_compiler
@@ -329,24 +264,12 @@ def test_unused_libraries_are_removed(cache):
     forget()
     assert native.compiler() is not None
     assert time.time() - trial.stat().st_mtime < cache_module.DAY, "it was used"
-    assert native.library(SOURCE + "\n") is not None
+    assert compiled(SOURCE + "\n") is not None
     assert not old.exists()
     assert not left.exists()
     assert trial.exists()
     assert running.exists()
     assert foreign.exists()
-
-
-def test_the_number_of_libraries_is_bounded(cache, monkeypatch):
-    """The build removes those that were not used for the longest time."""
-    monkeypatch.setattr(cache_module, "MOST", 3)
-    names = [cache / f"{i:032x}.so" for i in range(6)]
-    cache.mkdir(0o700)
-    for i, file in enumerate(names):
-        file.touch()
-        os.utime(file, (0, time.time() - 100 - i))
-    cache_module.remove_unused(cache)
-    assert sorted(cache.iterdir()) == names[:3]
 
 
 @needs_compiler
@@ -376,27 +299,6 @@ def test_compiled_code_on_windows(cache, caplog, monkeypatch):
 
 
 @needs_compiler
-def test_the_path_of_a_compiler_may_hold_spaces_and_backslashes(cache, monkeypatch, tmp_path):
-    """As in C:\\Program Files."""
-    real = native.compiler()[0]
-    forget()
-    path = program(tmp_path, "my \\ gcc", f'exec {real} "$@"')
-    monkeypatch.setenv("CC", path)
-    assert result() == 3
-    assert shlex.split(native.compiler()[0]) == [path]
-
-
-@needs_compiler
-def test_a_worker_process_does_not_repeat_the_warning(cache, caplog, monkeypatch):
-    import multiprocessing
-
-    cache.write_text("a file where the folder should be")
-    monkeypatch.setattr(multiprocessing, "parent_process", object)
-    assert result() == 3
-    assert not warnings_of(caplog)
-
-
-@needs_compiler
 def test_file_names_depend_on_word_size_and_processor(cache, monkeypatch):
     assert result() == 3
     monkeypatch.setattr(native.struct, "calcsize", lambda _: 4)
@@ -411,9 +313,6 @@ def test_file_names_depend_on_word_size_and_processor(cache, monkeypatch):
 CPUINFO = {
     "x86": "processor\t: 0\nmodel name\t: A\nflags\t\t: fpu {}\ncpu MHz\t\t: 1.5\n",
     "arm64": "processor\t: 0\nBogoMIPS\t: 1\nFeatures\t: fp\nCPU implementer\t: 0x41\nCPU part\t: {}\n",
-    "s390x": "vendor_id       : IBM/S390\nfeatures\t: esan3 {}\nbogomips per cpu: 1\n",
-    "power": "processor\t: 0\ncpu\t\t: POWER{}\nclock\t\t: 1MHz\n",
-    "riscv": "hart\t\t: 0\nisa\t\t: {}\n",
 }
 
 
@@ -434,28 +333,11 @@ def test_keys_of_processors_depend_on_their_instruction_sets(kind, monkeypatch):
 
 @needs_compiler
 def test_concurrent_builds_leave_one_library(cache):
-    code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r}).auv_test"
+    code = f"from auv_gym.codegen import native; assert native.library('a', lambda: {SOURCE!r}).auv_test"
     environment = {**os.environ, native.CACHE: str(cache)}
     running = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
     assert [process.wait(60) for process in running] == [0, 0, 0]
     assert len(libraries(cache)) == 1
-
-
-@needs_compiler
-def test_an_interrupt_ends_the_compiler(cache, tmp_path):
-    """It runs in its own session, which does not receive Ctrl-C."""
-    compiler = program(tmp_path, "slow-cc", f"echo $$ > {tmp_path}/pid\nexec sleep 1000")
-    code = f"from auv_gym.codegen import native; native.library({SOURCE!r})"
-    environment = {**os.environ, native.CACHE: str(cache), "CC": compiler}
-    running = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL)
-    pid = tmp_path / "pid"
-    while not (pid.exists() and pid.read_text().strip()):
-        assert running.poll() is None
-        time.sleep(0.05)
-    running.send_signal(signal.SIGINT)
-    assert running.wait(30) != 0
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(pid.read_text()), 0)
 
 
 FIRST_USE = """
@@ -469,7 +351,10 @@ for seed in range(3):
 
 @needs_compiler
 def test_only_the_first_use_prints_that_it_compiles(cache):
-    """There are three libraries: of the planner, of the exogenous inputs, and of the vehicle with its control law."""
+    """There are three libraries: of the planner, of the exogenous inputs, and of the vehicle with its control law.
+
+    The second process traces nothing.
+    """
     environment = {**os.environ, native.CACHE: str(cache)}
     printed = []
     for _ in range(2):

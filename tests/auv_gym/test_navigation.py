@@ -1,49 +1,24 @@
-"""Dead reckoning between position fixes: compared with its equations, formulas of its drift and all back ends."""
+"""Dead reckoning between position fixes: compared with its equations and formulas of its drift."""
 
 import cmath
 import dataclasses
 import math
-from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
-import torch
-from back_ends import assert_equals_scalars
-from window_by_torch import Setting
 
-from auv_gym.envs.torch_sim import TorchSimulator, simulate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.navigation import FixFilter, RandomReckoning, Reckoning, heading_errors
 from auv_gym.physics.sensors import Sensors
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
-from auv_gym.task.simulation import NOISE, SAMPLE
-from baselines import make_policy
-from baselines.agents.features import FEATURES
-from baselines.agents.networks import Gru
-from baselines.control.privileged.truth import samples
-from baselines.evaluation import suites
-from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import Cell, Recorded, run_all
-from baselines.evaluation.score import BY_ORACLE, ERROR_CAPS, cap_key, speed_range_of
-from baselines.training.apg.torch_network import torch_network
-from research.results.collection import Results
-from research.results.navigation import additional_errors, navigation_alone, navigation_part
-from research.suites.deep import (
-    INSTRUMENTS,
-    MISSION,
-    OUTAGE_TIME,
-    OUTAGES,
-    deep_worlds,
-    navigation_errors,
-    navigation_rmses,
-)
+from auv_gym.task.simulation import NOISE, SAMPLE, estimated_position
+from baselines.control.privileged.truth import Truth, samples
+from research.validation.navigation import INSTRUMENTS
 
-TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
-DEEP = {scenario.name: scenario for scenario in deep_worlds()}
 OFTEN = RandomReckoning(
     interval=(1.0, 3.0), scale=(-0.1, 0.1), misalignment=(-0.1, 0.1), drift=(-0.01, 0.01), walk=0.01
 )
@@ -53,6 +28,20 @@ ROUGH = dataclasses.replace(  # all errors, large enough for an effect within a 
     steps=150,
     sensors=Sensors(0.5, 0.1, 0.2, 0.01, 0.2, (-0.1, 0.1), 0.1, 0.0, 10.0, (1.0, 4.0), OFTEN),
 )
+
+
+def navigation_errors(scenario, episodes):
+    """Return the distance [m] between estimated and true position on the reference, shape (K + 1, N)."""
+    truth = Truth.of(scenario, episodes)
+    errors = np.empty((len(truth.samples), len(episodes)))
+    before = last = (truth.samples[0, SAMPLE.x_R], truth.samples[0, SAMPLE.y_R])
+    for k, sample in enumerate(truth.samples):
+        position = (sample[SAMPLE.x_R], sample[SAMPLE.y_R])
+        psi_m = sample[SAMPLE.psi_R] + sample[SAMPLE.n_psi]
+        last = estimated_position(position, before, psi_m, last, tuple(sample), truth.parameters, ARRAYS)
+        before = position
+        errors[k] = np.hypot(last[0] - position[0], last[1] - position[1])
+    return errors
 
 
 def world(observation, reference):
@@ -177,45 +166,6 @@ def test_parameters_of_the_filter_for_the_sensors():
     assert drifting.mean_square_drift(0.0, 100.0) == pytest.approx((9e-8 / 3 * 100**2 / 3 + 1e-6 * 50) / 2)
 
 
-def test_all_back_ends_agree_in_dead_reckoning():
-    """Also beside vehicles with outages and without; all equal the scalar environments."""
-    patchy = dataclasses.replace(PRESETS["cruise-storm"], sensors=Sensors(position=0.1, outages=20.0))
-    mixed = [ROUGH, DEEP["cruise-deep-storm"], patchy, PRESETS["cruise-storm"]]
-    arrays = gym.make_vec(TRACK, 4, vectorization_mode="vector_entry_point", scenario=mixed)
-    for env, atol in ((arrays, 1e-12), (TorchSimulator(4, mixed, dtype="float64", compiled=False), 1e-10)):
-        assert_equals_scalars(env, [gym.make(TRACK, scenario=s) for s in mixed], 140, scale=0.5, seed=5, atol=atol)
-
-
-def test_gradients_of_training(monkeypatch):
-    """The gradient of the compiled loop equals that of torch, and that of a step finite differences."""
-    monkeypatch.setitem(PRESETS, "rough", ROUGH)
-    torch.manual_seed(0)
-    net = torch_network(Gru(len(FEATURES), 8, 8, 8)).to(torch.float64)
-    torch.nn.init.normal_(net.head.weight, std=0.5)
-    mine, theirs = (Setting(["rough", "cruise-storm"], net, steps=12) for _ in range(2))
-    assert mine.vehicles.parts.reckoned
-    value, _ = mine.run()
-    found = torch.cat([p.grad.ravel() for p in net.parameters()])
-    net.zero_grad()
-    expected = theirs.by_torch()
-    expected.backward()
-    gradient = torch.cat([p.grad.ravel() for p in net.parameters()])
-    assert value == pytest.approx(float(expected.detach()), rel=1e-9)
-    assert float((found - gradient).norm()) <= 1e-9 * float(gradient.norm())
-
-    sim = TorchSimulator(2, ROUGH, dtype="float64", compiled=False)
-    sim.reset(seed=0)
-    for _ in range(30):
-        sim.step(torch.full((2, 2), 0.2))
-    state, action = sim.state.detach().clone().requires_grad_(), torch.zeros((2, 2), dtype=torch.float64)
-
-    def outputs(x):
-        step = simulate(x, action, sim._samples[31], sim._constants, ROUGH.parts)
-        return step.state, step.observation
-
-    assert torch.autograd.gradcheck(outputs, (state,), eps=1e-6, atol=1e-6, rtol=1e-5)
-
-
 def test_dead_reckoning_changes_nothing_else_of_an_episode():
     plain = dataclasses.replace(ROUGH, sensors=dataclasses.replace(ROUGH.sensors, reckoning=None))
     mine, theirs = (s.draw(np.random.default_rng(6)) for s in (ROUGH, plain))
@@ -226,96 +176,9 @@ def test_dead_reckoning_changes_nothing_else_of_an_episode():
     assert np.abs(inputs[0][:, NOISE] - inputs[1][:, NOISE]).max() > 0.01
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"interval": 0.5}, r"reckoning interval is 0.5; it must be a number in \[1, 10000\]"),
-        ({"interval": (30.0, 10.0)}, "low must not be above high"),
-        ({"scale": 0.6}, r"reckoning scale is 0.6; it must be a number in \[-0.5, 0.5\]"),
-        ({"misalignment": 2.0}, "reckoning misalignment is 2.0"),
-        ({"drift": math.nan}, "reckoning drift is nan"),
-        ({"walk": -1e-4}, r"reckoning walk is -0.0001; it must be a number in \[0, 1\]"),
-    ],
-)
-def test_bad_reckonings_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        RandomReckoning(**changes)
-
-
 def test_messages_of_mistakes():
-    with pytest.raises(ValueError, match="sensors reckoning is 20; it must be a RandomReckoning or None"):
-        Sensors(reckoning=20)
     with pytest.raises(ValueError, match="reckoning has no entry 'fixes'; allowed are interval, scale"):
         Scenario.from_dict({"sensors": {"reckoning": {"fixes": 3}}})
     episode = dataclasses.replace(Scenario().draw(np.random.default_rng(0)), reckoning=Reckoning())
     with pytest.raises(ValueError, match="the episode has a dead reckoning, but scenario 'custom' has none"):
         Scenario().parameters(episode)
-
-
-@pytest.mark.parametrize("suffix", ["json", "toml"])
-def test_dead_reckoning_in_files(tmp_path, suffix):
-    for scenario in (ROUGH, Scenario(sensors=Sensors(reckoning=RandomReckoning()))):
-        scenario.save(tmp_path / f"deep.{suffix}")
-        assert Scenario.load(tmp_path / f"deep.{suffix}") == scenario
-
-
-def test_the_deep_suite():
-    suite = suites.load_suite("deep-v1")
-    assert [cell.scenario for cell in suite.cells] == list(DEEP.values())
-    assert [f"{r}-{c}" for r in ("slow", "cruise") for c in ("deep", "deep-current", "deep-storm")] == list(DEEP)
-    for cell in suite.cells:
-        assert len(cell.episodes) == 60
-        assert cell.scenario.duration >= 240.0
-        assert min(len(e.reckoning.fixes) for e in cell.episodes) >= 8
-        assert any(e.outages for e in cell.episodes) == cell.scenario.name.endswith("storm")
-        assert ERROR_CAPS[cap_key(cell.scenario.name)] == 5.0
-        assert cap_key(cell.scenario.name) != speed_range_of(cell.scenario.name)
-    assert [cap_key(name) for name in ("slow-storm", "cruise-deeper", "deep", "harbour")] == [
-        "slow",
-        "cruise",
-        None,
-        None,
-    ]
-
-
-def test_error_of_a_controller_that_keeps_its_estimate_on_the_reference():
-    cell = suites.load_suite("deep-v1").cells[3]
-    episodes = [dataclasses.replace(e, initial_error=(0.0, 0.0, 0.0), surge=1.0) for e in cell.episodes[:6]]
-    floor = navigation_rmses(Cell(cell.scenario, episodes))
-    steady_rmses = rollout(make_policy("backstepping"), cell.scenario, episodes).measures.steady_rmse
-    np.testing.assert_allclose(steady_rmses, floor, rtol=0.25)
-    assert np.corrcoef(steady_rmses, floor)[0, 1] > 0.9
-
-
-def test_the_page_has_the_parameters_of_the_sensors():
-    text = (Path(__file__).parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
-    s, r = INSTRUMENTS, INSTRUMENTS.reckoning
-    for words in (
-        f"every {r.interval[0]:g} to {r.interval[1]:g} s, {s.position:g} m on each axis",
-        f"scale error up to {100 * r.scale[1]:g} %, bias up to {s.velocity_bias[1]:g} m/s, noise {s.velocity:g} m/s",
-        f"misaligned by up to {r.misalignment[1]:g} rad",
-        f"aligned to {s.heading_bias[1]:g} rad, drifts up to {r.drift[1]:g} rad/s",
-        f"({math.degrees(3600 * r.drift[1]):.0f} deg/h)",
-        f"walks {r.walk:g} rad/sqrt(s)",
-        f"in storms {OUTAGES:g} a minute, each {OUTAGE_TIME[0]:g} to {OUTAGE_TIME[1]:g} s long",
-        f"in missions of {MISSION['slow']:g} s and {MISSION['cruise']:g} s",
-        f"from a steady-state error of {ERROR_CAPS['deep']:g} m",
-    ):
-        assert words in text
-
-
-def test_results_have_the_navigation_error_and_the_additional_errors_of_policies():
-    suite = suites.load_suite("deep-v1")
-    few = dataclasses.replace(
-        suite,
-        anchors=BY_ORACLE,
-        cells=tuple(Cell(c.scenario, c.episodes[:4]) for c in suite.cells if c.scenario.name == "slow-deep"),
-    )
-    runs = run_all(("backstepping", "oracle", "open-loop"), few.cells)
-    results = Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])
-    errors = navigation_alone(results, "slow")
-    assert list(errors) == ["slow-deep"]
-    floor = navigation_rmses(few.cells[0]).mean()
-    assert f"| slow | {1e3 * floor:.0f} | {1e3 * floor:.0f} |" in navigation_part({"slow": errors})
-    shown = {name: float(text.split(" (")[0]) for name, text in additional_errors(results, errors).items()}
-    assert shown == {r.policy: round(1e3 * (r.measures.steady_rmse.mean() - floor)) for r in (runs[0], runs[2])}

@@ -1,16 +1,11 @@
-"""The preview of the reference: compared with the path, and equal for all back ends."""
+"""The preview of the reference: compared with the path."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
-from back_ends import assert_equals_scalars
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import baselines
 from auv_gym import PRESETS, Scenario
-from auv_gym.envs.torch_sim import TorchSimulator
 from auv_gym.physics.sensors import Sensors
 from auv_gym.planning.paths import Spline
 from auv_gym.scenarios.scenario import RandomPath, Start
@@ -47,27 +42,6 @@ def test_preview_is_the_displacement_along_the_path_in_measured_body_axes():
             observation, *_ = env.step(np.array([0.3, 0.1], dtype=np.float32))
 
 
-@given(seed=st.integers(0, 2**31 - 1))
-@settings(max_examples=10, deadline=None)
-def test_back_ends_agree_across_autoresets(seed):
-    torch.set_num_threads(1)
-    options = {"scenario": NOISY, "preview": PERIODS}
-    for env in (
-        gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 2, "vector_entry_point", **options),
-        TorchSimulator(2, dtype="float64", compiled=False, **options),
-    ):
-        scalars = [gym.make("auv_gym:UnderactuatedAUVTrack-v0", **options) for _ in range(2)]
-        assert assert_equals_scalars(env, scalars, NOISY.steps + 3, scale=1.0, seed=seed) == 2
-
-
-def test_the_terms_do_not_depend_on_the_preview():
-    plain = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm")
-    ahead = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", preview=PERIODS)
-    np.testing.assert_array_equal(plain.reset(seed=3)[0], ahead.reset(seed=3)[0][:SIZE])
-    action = np.array([0.5, -0.5], dtype=np.float32)
-    np.testing.assert_array_equal(plain.step(action)[0], ahead.step(action)[0][:SIZE])
-
-
 def test_after_its_end_a_path_is_straight():
     spline = Spline(waypoints=((0.0, 0.0), (6.0, 0.0), (12.0, 2.0), (18.0, 3.0)), speed=1.0)
     steps = int(spline.end / 0.1)
@@ -78,18 +52,6 @@ def test_after_its_end_a_path_is_straight():
     near, far = np.linalg.norm(observation[SIZE:].reshape(2, 2), axis=1)
     last = spline.derivatives(np.array([spline.end]))[1, :, 0]
     assert far - near == pytest.approx(5 * np.hypot(*last), rel=1e-3)
-
-
-def test_gradients_flow_through_the_measured_heading():
-    torch.set_num_threads(1)
-    sim = TorchSimulator(1, "cruise-calm", dtype="float64", compiled=False, preview=(10,))
-    sim.reset(seed=0)
-    action = torch.zeros(1, 2, dtype=torch.float64, requires_grad=True)
-    sim.step(action)
-    observation, *_ = sim.step(torch.zeros(1, 2, dtype=torch.float64))
-    observation[0, -1].backward()
-    assert action.grad is not None
-    assert action.grad[0, 1] != 0
 
 
 def test_residual_environments_have_the_preview_of_the_expert():

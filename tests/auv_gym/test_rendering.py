@@ -15,8 +15,7 @@ import pytest
 from gymnasium.error import DependencyNotInstalled
 
 from auv_gym.rendering import Renderer, View
-from auv_gym.rendering.camera import elapsed_between
-from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, PLAN, SEA_COLOUR, VEHICLE, WHITE, Canvas
+from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, PLAN, VEHICLE, WHITE
 
 pygame = pytest.importorskip("pygame")
 
@@ -77,26 +76,12 @@ def test_the_same_views_give_the_same_pictures():
     assert not np.array_equal(runs[0][0], runs[0][-1])
 
 
-def test_drawing_again_changes_nothing():
-    renderer = Renderer("rgb_array", 20.0, SIZE)
-    renderer.draw(VIEW)
-    away = VIEW._replace(time=3.1, reference=(15.0, 0.5, 0.0))
-    np.testing.assert_array_equal(renderer.draw(away), renderer.draw(away))
-
-
 @pytest.mark.parametrize("start", [0.0, 3.0])
 def test_a_new_episode_does_not_depend_on_the_last_one(start):
     renderer = Renderer("rgb_array", 20.0, SIZE)
     renderer.draw(VIEW._replace(state=(40.0, 9.0, 1.0, 2.0, 0.0, 0.0)))
     again = VIEW._replace(time=start)
     np.testing.assert_array_equal(renderer.draw(again), picture(again))
-
-
-def test_elapsed_time_between_views():
-    assert elapsed_between(None, VIEW) == math.inf
-    assert elapsed_between(VIEW, VIEW) == 0.0
-    assert elapsed_between(VIEW, VIEW._replace(time=3.5, title="")) == 0.5
-    assert elapsed_between(VIEW, VIEW._replace(time=2.9)) == math.inf
 
 
 def test_position_of_the_vehicle_in_the_picture():
@@ -211,53 +196,6 @@ def test_small_pictures_have_no_text():
     assert count(small, WHITE, 0) == 0
     assert count(readable, WHITE, 0) > 0.1 * 320 * 240
     assert count(small, VEHICLE, tolerance=60) > 5
-
-
-@pytest.mark.parametrize("size", [(480, 360), (960, 720), (1920, 1440)])
-def test_a_closeup_changes_only_its_own_pixels(size):
-    canvas = Canvas(pygame, size)
-    canvas.fill(SEA_COLOUR)
-    canvas.line([(0.0, 100.0), (900.0, 700.0)], PLAN, 3.0)
-    before = canvas.pixels()
-    with canvas.closeup([(300.0, 250.0), (420.0, 400.0)], 10.0):
-        pass
-    np.testing.assert_array_equal(canvas.pixels(), before)
-    with canvas.closeup([(300.0, 250.0), (420.0, 400.0)], 10.0):
-        canvas.line([(350.0, 300.0), (360.0, 310.0)], ALERT, 4.0)
-    changed = np.nonzero((canvas.pixels() != before).any(axis=2))
-    for places, (low, high) in zip(changed, ((300, 310), (350, 360)), strict=True):
-        assert (low - 4) * canvas.unit <= places.min() < places.max() <= (high + 4) * canvas.unit
-
-
-def test_a_picture_takes_less_than_three_times_the_time_of_cart_pole():
-    """By processor time of both environments in turn; the measured ratio is 1.7."""
-    env = gym.make(
-        "auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", render_mode="rgb_array", render_size=SIZE
-    )
-    other = gym.make("CartPole-v1", render_mode="rgb_array")
-    times = []
-    for e in (env, other):
-        e.reset(seed=0)
-        e.render()
-    for _ in range(40):
-        env.step(np.zeros(2))
-        begin = time.process_time()
-        env.render()
-        middle = time.process_time()
-        other.render()
-        times.append((middle - begin, time.process_time() - middle))
-    other.close()
-    own, theirs = np.median(times, axis=0)
-    assert own < 3.0 * theirs
-
-
-def test_close_is_idempotent(human):
-    for renderer in (human, Renderer("rgb_array", 20.0, SIZE)):
-        renderer.close()
-        renderer.draw(VIEW)
-        renderer.close()
-        renderer.close()
-    assert not pygame.display.get_init()
 
 
 def test_the_frame_rate_of_the_window_is_limited(human):

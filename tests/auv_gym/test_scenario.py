@@ -1,51 +1,20 @@
 """Scenarios: presets, files and errors of unknown entries."""
 
-import json
 import math
-import os
 
 import numpy as np
 import pytest
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.planning.paths import PATHS, Circle, Spline
-from auv_gym.scenarios.episode import checked_options
+from auv_gym.planning.paths import PATHS, Circle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import CASES, PRESETS, as_scenario
-from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
-
-EVERYTHING = Scenario(
-    name="everything",
-    path=Spline(waypoints=((0.0, 0.0), (30.0, 5.0), (60.0, -5.0)), speed=0.5),
-    mismatch=RandomMismatch(mass=(0.9, 1.1), quadratic=(0.0, 0.5)),
-    current=RandomCurrent(speed=(0.0, 0.1), gust=0.02, cap=0.5, relative=False),
-    waves=RandomWaves(0.1, 0.05, 0.02, band=(0.4, 0.9), components=4),
-    sensors=Sensors(0.1, 0.01, 0.01, 0.01, position_bias=(-0.2, 0.2), low_pass=0.5),
-    actuators=Actuators(300.0, 100.0, lag=(0.1, 0.2), F_u_rate=50.0),
-    start=Start(x_e=(-1.0, 1.0), random_signs=True),
-    control_dt=0.2,
-    steps=100,
-)
 
 
 def test_presets_are_the_paper_and_all_cases_in_both_speed_ranges():
     assert set(PRESETS) == {"paper-circle"} | {f"{r}-{c}" for r in ("slow", "cruise") for c in CASES}
-
-
-@pytest.mark.parametrize("suffix", ["json", "toml"])
-@pytest.mark.parametrize("scenario", [*PRESETS.values(), EVERYTHING], ids=lambda s: s.name)
-def test_file_round_trip(scenario, suffix, tmp_path):
-    file = tmp_path / f"scenario.{suffix}"
-    scenario.save(file)
-    assert Scenario.load(file) == scenario
-
-
-def test_dict_round_trip_is_strict_json():
-    assert Scenario.from_dict(json.loads(json.dumps(EVERYTHING.to_dict(), allow_nan=False))) == EVERYTHING
 
 
 def test_draws_are_reproducible_and_differ():
@@ -74,27 +43,14 @@ def test_random_signs_have_all_eight_combinations():
         ({"speeed": 1}, r"scenario has no entry 'speeed'; allowed are name, path"),
         ({"path": {"family": "spiral"}}, r"unknown path family 'spiral'; allowed are line, circle"),
         ({"path": {"family": "circle", "speed": 1.0}}, r"path circle lacks the entry 'turn_rate'"),
-        ({"path": {"speed": 1.0, "turn_rate": 0.1, "families": ["spiral"]}}, r"unknown path family 'spiral'"),
         ({"path": 3}, r"scenario path is 3"),
         ({"vehicle": "submarine"}, r"unknown vehicle .submarine.; allowed are .*, a .toml file, or one of paper"),
         ({"vehicle": {**vars(PAPER_VEHICLE), "m11": -1.0}}, r"vehicle parameter m11 is -1.0"),
         ({"vehicle": {**vars(PAPER_VEHICLE), "m22": 200.0}}, r"m22 = 200.0 kg is not above m11"),
         ({"current": {"speed": [0.4, 0.1]}}, r"current speed is \(0.4, 0.1\); low must not be above high"),
-        ({"current": {"speed": "fast"}}, r"current speed is 'fast'; it must be a number"),
-        ({"current": {"speed": math.nan}}, r"current speed is nan"),
         ({"current": 1.0}, r"current is 1.0; it must be a table"),
-        ({"waves": {"components": 99}}, r"waves components is 99; it must be an integer in \[1, 12\]"),
         ({"mismatch": {"ratio": [0.5, 1.0]}}, r"mismatch ratio may fall to 0.5"),
-        ({"sensors": {"position": -1.0}}, r"sensors position is -1.0"),
-        ({"sensors": {"low_pass": 0.0}}, r"sensors low_pass is 0.0"),
-        ({"actuators": {"lag": math.inf}}, r"actuators lag is inf; it must be a number"),
-        ({"actuators": {"F_u_max": 0.0}}, r"actuators F_u_max is 0.0"),
-        ({"start": {"random_signs": 1}}, r"start random_signs is 1; it must be true or false"),
-        ({"control_dt": 0.0}, r"control_dt is 0.0"),
-        ({"control_dt": True}, r"control_dt is True"),
-        ({"steps": 1.5}, r"steps is 1.5; it must be an integer"),
         ({"lost_distance": 1e6}, r"lost_distance is 1000000.0; it must be a number in \[0.001, 100000\]"),
-        ({"name": ""}, r"scenario name is ''"),
         ({"path": {"family": "spline", "waypoints": [[0, 0], [9, 0]], "speed": 1.0}}, r"the path runs from 0 to 9 s"),
         ({"path": "circle"}, r"scenario path is 'circle'; it must be a table"),
         ({"mismatch": 3}, r"mismatch is 3; it must be a table"),
@@ -104,12 +60,6 @@ def test_random_signs_have_all_eight_combinations():
 def test_bad_records_are_refused(record, message):
     with pytest.raises(ValueError, match=message):
         Scenario.from_dict(record)
-
-
-@pytest.mark.parametrize("part", ["path", "vehicle", "sensors", "start"])
-def test_wrong_kinds_of_parts_are_refused(part):
-    with pytest.raises(ValueError, match=f"scenario {part} is 3; it must be a "):
-        Scenario(**{part: 3})
 
 
 def test_bad_files_are_refused(tmp_path):
@@ -143,28 +93,15 @@ BIG = "9" * 400
         '{"name": ["storm"]}',
         '{"name": "\\ud800"}',
         '{"name": "\\u001b[31mred"}',
-        '{"path": %s}' % ("[" * 100_000 + "]" * 100_000),
-        '{"path": %s}' % ("[" * 900 + "]" * 900),
         "\xff",
     ],
-    ids=range(15),
+    ids=range(13),
 )
-def test_malicious_files_are_refused_with_one_error(text, tmp_path):
+def test_wrong_entries_of_a_file_are_refused_with_one_error(text, tmp_path):
     file = tmp_path / "scenario.json"
     file.write_bytes(text.replace("BIG", BIG).encode("latin-1"))
     with pytest.raises(ValueError, match=r"scenario\.json"):
         Scenario.load(file)
-
-
-def test_deeply_nested_toml_fifos_and_giants_are_refused(tmp_path):
-    nested, fifo, giant = (tmp_path / name for name in ("nested.toml", "fifo.toml", "giant.json"))
-    nested.write_text("path = " + "[" * 100_000 + "]" * 100_000)
-    os.mkfifo(fifo)
-    with giant.open("wb") as file:
-        file.truncate(2**24 + 1)
-    for file in (nested, fifo, giant):
-        with pytest.raises(ValueError, match=file.name):
-            Scenario.load(file)
 
 
 def test_a_user_defined_path_cannot_be_written(tmp_path):
@@ -187,18 +124,3 @@ def test_changed_keeps_the_duration():
     assert (scenario.steps, scenario.duration) == (1200, pytest.approx(60.0))
     with pytest.raises(ValueError, match="control_dt is -1"):
         changed(scenario, control_dt=-1)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"init": 1}, r"unknown reset option 'init'; allowed are episode, initial_error, initial_velocity"),
-        ({"initial_error": (1, 2)}, r"initial_error is \(1, 2\); it must be three finite numbers"),
-        ({"initial_error": "abc"}, r"initial_error is 'abc'"),
-        ({"initial_velocity": (1, math.nan, 0)}, r"initial_velocity is"),
-        ({"episode": 3}, r"episode is 3; it must be an Episode"),
-    ],
-)
-def test_bad_reset_options_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        checked_options(options)

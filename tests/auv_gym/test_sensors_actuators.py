@@ -14,7 +14,6 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.actuators import Actuators, Response, respond
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.sensors import Sensors, low_pass
-from auv_gym.scenarios.presets import PAPER_SCENARIO
 from auv_gym.scenarios.scenario import Scenario
 
 INF = math.inf
@@ -55,16 +54,6 @@ def test_forces_change_at_the_rate_limit():
     assert force == pytest.approx((65.0, -35.0))
 
 
-def test_actuators_of_arrays_equal_those_of_floats():
-    rng = np.random.default_rng(0)
-    force, command = 100 * rng.normal(size=(2, 2, 5))
-    lags, rates = [0.0, 0.1, 0.2, 0.5, 1.0], [200.0, INF, 50.0, 300.0, INF]
-    each = [Response.of(lag, rate, rate, 0.1) for lag, rate in zip(lags, rates, strict=True)]
-    together = respond(tuple(force), tuple(command), Response(*np.array(each).T), ARRAYS)
-    alone = [respond(f, c, response, FLOATS) for f, c, response in zip(force.T, command.T, each, strict=True)]
-    np.testing.assert_array_equal(np.array(together).transpose(2, 0, 1), alone)
-
-
 @pytest.mark.parametrize("cut_off", [0.05, 0.5, 4.0])
 def test_low_pass_is_the_first_order_filter_with_zero_order_hold(cut_off):
     dt, rng = 0.1, np.random.default_rng(1)
@@ -95,29 +84,6 @@ def test_heading_is_filtered_along_the_shorter_arc(before, measured, after, ns):
     assert -math.pi <= heading < math.pi
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "message"),
-    [
-        (Actuators, {"F_u_max": 0}, r"actuators F_u_max is 0; it must be a number in \[0.001, 1e\+09\]"),
-        (Actuators, {"F_r_max": "5"}, "actuators F_r_max is '5'; it must be a number"),
-        (Actuators, {"F_r_max": True}, "actuators F_r_max is True; it must be a number"),
-        (Actuators, {"lag": -0.1}, "actuators lag is -0.1"),
-        (Actuators, {"lag": (0.5, 0.2)}, r"actuators lag is \(0.5, 0.2\); low must not be above high"),
-        (Actuators, {"lag": (0.5,)}, r"actuators lag is \(0.5,\); it must be a number or a pair"),
-        (Actuators, {"lag": INF}, "actuators lag is inf; it must be a number"),
-        (Actuators, {"F_u_rate": 0.0}, "actuators F_u_rate is 0.0"),
-        (Actuators, {"F_r_rate": math.nan}, "actuators F_r_rate is nan"),
-        (Sensors, {"position": -1.0}, r"sensors position is -1.0; it must be a number in \[0, 1000\]"),
-        (Sensors, {"yaw_rate": math.nan}, "sensors yaw_rate is nan"),
-        (Sensors, {"heading_bias": (0.0, 0.1, 0.2)}, "sensors heading_bias is .* a number or a pair"),
-        (Sensors, {"low_pass": 0.0}, "sensors low_pass is 0.0"),
-    ],
-)
-def test_bad_parameters_are_refused(make, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        make(**arguments)
-
-
 def test_effectiveness_reduces_the_force_and_is_not_observed():
     """At effectiveness 0.5 an action gives half of the force; observed limits and previous action do not change."""
     whole = Scenario(steps=20)
@@ -131,15 +97,3 @@ def test_effectiveness_reduces_the_force_and_is_not_observed():
     np.testing.assert_allclose(a.force, b.force, rtol=1e-12)
     np.testing.assert_array_equal(seen[13:15], also[13:15])
     np.testing.assert_array_equal(also[15:17], [0.4, -0.2])
-
-
-def test_effectiveness_is_drawn_for_each_actuator_and_changes_no_other_draw():
-    whole = Scenario(start=PAPER_SCENARIO.start)
-    weak = dataclasses.replace(whole, actuators=Actuators(effectiveness=(0.3, 0.9)))
-    a, b = (s.draw(np.random.default_rng(5)) for s in (whole, weak))
-    assert a.effectiveness == (1, 1)
-    assert b.effectiveness[0] != b.effectiveness[1]
-    assert all(0.3 <= share <= 0.9 for share in b.effectiveness)
-    assert dataclasses.replace(b, effectiveness=(1, 1)) == dataclasses.replace(a, effectiveness=(1, 1))
-    with pytest.raises(ValueError, match="effectiveness"):
-        Actuators(effectiveness=1.2)

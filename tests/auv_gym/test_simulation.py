@@ -109,27 +109,6 @@ def test_each_actuator_has_its_own_limit_and_saturation_level(sign):
     assert (Observation(*terms).F_u_max, Observation(*terms).F_r_max) == (400.0, 200.0)
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2, 3])
-def test_commands_act_after_the_delay(delay):
-    delayed, plant = CONSTANTS._replace(delay=float(delay), parts=Parts(delayed=True)), first_plant()
-    sent = [(0.1, -0.5), (0.2, -0.6), (0.3, -0.7), (0.4, -0.8), (0.5, -0.9)]
-    acted = []
-    for action in sent:
-        plant, _, _ = step(plant, action, STILL, delayed, FLOATS)
-        acted.append((plant.F_u / 400.0, plant.F_r / 200.0))
-    np.testing.assert_allclose(acted, ([(0.0, 0.0)] * delay + sent)[: len(sent)], atol=1e-15)
-
-
-def test_without_a_fix_the_last_position_is_held_and_other_measurements_continue():
-    outage = CONSTANTS._replace(parts=Parts(outages=True))
-    plant = first_plant(outage)._replace(x=3.0, u=1.0)
-    _, terms, _ = step(plant, (0.0, 0.0), STILL._replace(fix=0.0), outage, FLOATS)
-    assert Observation(*terms).e_x == 0.0
-    assert Observation(*terms).u_e > 0.9
-    _, terms, _ = step(plant, (0.0, 0.0), STILL, outage, FLOATS)
-    assert Observation(*terms).e_x == pytest.approx(3.1, abs=0.01)
-
-
 def test_states_that_are_not_numbers_are_failures():
     nan = first_plant()._replace(x=math.nan)
     assert step(nan, (0.0, 0.0), STILL, CONSTANTS, FLOATS)[2][1] is True

@@ -1,4 +1,4 @@
-"""Propeller, rudder and wind: mirrored, turned, and against the same formulas in angles."""
+"""Propeller and rudder: mirrored, turned, and against the same formulas in angles."""
 
 import math
 
@@ -7,10 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_gym.physics.steering import Stern, stern_load, thrust
-from auv_gym.physics.wind import WindDrag, wind_load
 
 STERN = Stern(0.02, 0.1, side=60.0, arm=3.5, drag=20.0, wash=0.02, wake=0.5, straight=0.4, uneven=0.0, neutral=0.0)
-DRAG = WindDrag(0.08, 0.2, 0.05, 0.1)
 numbers = st.floats(-1.0, 1.0)
 
 
@@ -44,12 +42,3 @@ def test_one_propeller_turns_one_way():
 def test_thrust_grows_with_revolutions_and_falls_with_speed(n, u):
     T = thrust(n, u, STERN)
     assert T == pytest.approx(STERN.T_nn * n * abs(n) - STERN.T_nu * abs(n) * u)
-
-
-@given(st.floats(0.1, 20.0), st.floats(-math.pi, math.pi))
-def test_wind_goes_with_its_angle_as_fossen_has_it(speed, angle):
-    X, Y, N = wind_load(speed * math.cos(angle), speed * math.sin(angle), DRAG)
-    assert -X == pytest.approx(DRAG.X_air * speed**2 * math.cos(angle), abs=1e-6)
-    assert -Y == pytest.approx(DRAG.Y_air * speed**2 * math.sin(angle), abs=1e-6)
-    turn = DRAG.N_air * math.sin(angle) + 0.5 * DRAG.N_turn * math.sin(2 * angle)
-    assert -N == pytest.approx(speed**2 * turn, abs=1e-6)

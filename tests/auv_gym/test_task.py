@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.task import observation as task
+from auv_gym.task.reward import failed, reward
 
 inside = st.tuples(*(st.floats(-t.scale * t.bound, t.scale * t.bound, allow_subnormal=False) for t in task.TERMS))
 
@@ -54,9 +55,9 @@ def test_floats_rows_and_tensors_are_encoded_alike():
     from auv_gym.physics.namespaces import ARRAYS, tensors
 
     terms = np.random.default_rng(0).normal(size=(task.SIZE, 5)) * np.repeat([100.0, 0.5], [6, task.SIZE - 6])[:, None]
-    rows = task.encode(tuple(terms), ARRAYS, span=1)
+    rows = task.encode(tuple(terms), ARRAYS, bound_factor=1)
     singles = np.array([task.encode_observation(tuple(column)) for column in terms.T.tolist()]).T
-    encoded = task.encode(torch.tensor(terms).unbind(), tensors(), span=1)
+    encoded = task.encode(torch.tensor(terms).unbind(), tensors(), bound_factor=1)
     np.testing.assert_array_equal(rows, singles)
     np.testing.assert_array_equal(rows, encoded.numpy())
     decoded = torch.stack(list(task.decode(encoded.unbind(), tensors())))
@@ -85,25 +86,17 @@ def test_wrong_shape_is_refused(shape):
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-2, 10))
 def test_reward_is_largest_at_zero_error_and_decreases_with_distance(near, far, scale):
     near, far = sorted((near, far))
-    rewards = [task.reward(e * e, 0.0, scale, 0.05, FLOATS) for e in (0.0, near, far)]
+    rewards = [reward(e * e, 0.0, scale, 0.05, FLOATS) for e in (0.0, near, far)]
     assert rewards[0] == 1.0
     assert rewards[0] >= rewards[1] >= rewards[2] > 0
 
 
 def test_reward_of_a_change_of_the_action():
-    assert task.reward(0.0, 2.0, 1.0, 0.05, FLOATS) == pytest.approx(0.9)
+    assert reward(0.0, 2.0, 1.0, 0.05, FLOATS) == pytest.approx(0.9)
 
 
 def test_failure_is_beyond_the_lost_distance():
-    assert not task.failed(100.0, 10.0)
-    assert task.failed(math.nextafter(100.0, math.inf), 10.0)
-    assert task.failed(math.nan, 10.0)
-    assert task.failed(np.array([0.0, math.nan, math.inf]), 10.0).tolist() == [False, True, True]
-
-
-def test_reference_beyond_the_bounds_is_refused():
-    table = np.zeros((4, 8))
-    task.check_reference(table, span=1)
-    table[2, 5] = 9.0
-    with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; an observation holds at most 8"):
-        task.check_reference(table, span=1)
+    assert not failed(100.0, 10.0)
+    assert failed(math.nextafter(100.0, math.inf), 10.0)
+    assert failed(math.nan, 10.0)
+    assert failed(np.array([0.0, math.nan, math.inf]), 10.0).tolist() == [False, True, True]

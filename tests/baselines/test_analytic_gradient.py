@@ -1,6 +1,8 @@
-"""Training by the analytic gradient: gradients, what the network becomes on NumPy, determinism, and going on."""
+"""Training by the analytic gradient: gradients, windows as the environment, optimisers, and groups of vehicles."""
 
 import math
+import os
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +10,12 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from window_by_torch import AUTHORITY, LOSS, Setting
+from native_cache import forget
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from window_by_torch import AUTHORITY, LOSS, Setting, group_of
 
-from auv_gym.codegen.native import SWITCH, library
-from auv_gym.envs.torch_sim import TENSORS
+from auv_gym.codegen.native import SWITCH
+from auv_gym.envs.differentiable import TENSORS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.scenarios.presets import PRESETS
@@ -23,17 +27,18 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
+from baselines.tools.command_line import WorkerError
+from baselines.tools.workers import ProcessObjects, Workers
+from baselines.training import vehicle_models
 from baselines.training.apg.closed_loop import LINEAR_FROM, SQUARE_WEIGHT, ClosedLoop, Loss, law_of
-from baselines.training.apg.groups import Groups, WindowGradient
 from baselines.training.apg.muon import Muon, orthogonalised
-from baselines.training.apg.passes import gates_back
+from baselines.training.apg.network import gates_back, torch_network, weights_of
 from baselines.training.apg.settings import Settings, check
-from baselines.training.apg.torch_network import torch_network, weights_of
-from baselines.training.apg.trainer import ApgTrainer, train
-from baselines.training.apg.vehicles import TrainingVehicles
+from baselines.training.apg.trainer import ApgTrainer, summed, train
+from baselines.training.apg.vehicle_group import VehicleGroup, WindowGradient, divided
 from baselines.training.apg.window import SMALLEST, divided_by_error
 from baselines.training.config import Config
-from baselines.training.run_folder import RunFolder
+from baselines.training.run_folder import RunFolder, TrainingError, read_progress
 from baselines.training.validation import VALIDATION_PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
@@ -45,7 +50,7 @@ CASES = [  # expert, whether the network has a memory, and what it sees
     ("none", True, INPUTS[2]),
     ("ekf", True, INPUTS[1]),
     pytest.param("backstepping", True, INPUTS[3], marks=pytest.mark.slow),
-    ("current-observer", False, INPUTS[0]),
+    ("integral-normalised", False, INPUTS[0]),
 ]
 
 
@@ -61,10 +66,6 @@ def network(head=0.5, sizes=SIZES, dtype=torch.float64):
     return made
 
 
-def trainer_of(run):
-    return ApgTrainer(run, Groups(run.config, check(run.config)))
-
-
 def gradient_of(net):
     return torch.cat([p.grad.ravel() for p in net.parameters()])
 
@@ -74,11 +75,11 @@ def native(request, monkeypatch):
     """With a compiler, and without."""
     if request.param == "interpreted":
         monkeypatch.setenv(SWITCH, "0")
-    for cached in (library, gates_back):
-        cached.cache_clear()
+    for clear in (forget, gates_back.cache_clear):
+        clear()
     yield
-    for cached in (library, gates_back):
-        cached.cache_clear()
+    for clear in (forget, gates_back.cache_clear):
+        clear()
 
 
 @pytest.mark.usefixtures("native")
@@ -130,24 +131,18 @@ def test_equals_the_policy_in_the_environment(expert, memory, inputs):
 
 
 def test_gradient_equals_finite_differences():
-    names, net = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1)
+    """Along a random direction in the space of all weights."""
+    names, net, step = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1), 1e-5
 
-    def loss():
+    def loss(weights):
+        vector_to_parameters(weights, net.parameters())
         return Setting(names, net, steps=12).run()[0]
 
-    loss()
-    gradients = {name: p.grad.clone() for name, p in net.named_parameters()}
-    rng = np.random.default_rng(0)
-    for name, parameter in net.named_parameters():
-        direction = torch.tensor(rng.standard_normal(parameter.shape))
-        slope, step = float((gradients[name] * direction).sum()), 1e-5
-        with torch.no_grad():
-            sides = []
-            for sign in (1, -1):
-                parameter.add_(sign * step * direction)
-                sides.append(loss())
-                parameter.sub_(sign * step * direction)
-        assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
+    weights = parameters_to_vector(net.parameters()).detach().clone()
+    loss(weights)
+    direction, gradient = torch.randn_like(weights), gradient_of(net).clone()
+    sides = [loss(weights + sign * step * direction) for sign in (1, -1)]
+    assert float(gradient @ direction) == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4)
 
 
 def test_gradient_with_an_error_exponent():
@@ -216,96 +211,66 @@ def test_each_speed_range_has_its_weights():
 
 def test_a_batch_begins_episodes_between_windows():
     short = replace(PRESETS["slow-calm"], steps=20)
-    vehicles = TrainingVehicles([short] * 4, 0, 6)
-    carried = vehicles.reset(3)
-    assert vehicles.constants.shape == (PARAMETER_ROWS, 4)
+    group = group_of([[short]] * 4, n_steps=6)
+    assert group.sub_envs.constants.shape == (PARAMETER_ROWS, 4)
     begun = []
     for _ in range(9):
-        assert [len(rows) for rows in vehicles.window()] == [6, 6]
-        marked = carried._replace(hidden=np.ones((3, 4)), integrals=np.ones((4, 4)))
-        carried = vehicles.renew(marked, np.zeros(4))
-        begins = carried.hidden[0] == 0
-        assert begins.tolist() == vehicles.begins.tolist()
-        assert (carried.integrals[0] == 0).tolist() == begins.tolist()
-        assert (carried.state[:, begins] != marked.state[:, begins]).any(axis=0).all()
-        assert (carried.state[:, ~begins] == marked.state[:, ~begins]).all()
+        assert [len(rows) for rows in group.exogenous_inputs()] == [6, 6]
+        marked = group.carried._replace(hidden=np.ones((64, 4)), integrals=np.ones((4, 4)))
+        group.renew(marked, np.zeros(4))
+        begins = group.carried.hidden[0] == 0
+        assert begins.tolist() == group.begins.tolist()
+        assert (group.carried.integrals[0] == 0).tolist() == begins.tolist()
+        assert (group.carried.state[:, begins] != marked.state[:, begins]).any(axis=0).all()
+        assert (group.carried.state[:, ~begins] == marked.state[:, ~begins]).all()
         begun.append(begins.nonzero()[0].tolist())
     # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
-
-
-def test_a_failed_vehicle_begins_a_new_episode():
-    vehicles = TrainingVehicles([PRESETS["slow-calm"]] * 4, 0, 6)
-    carried = vehicles.reset(3)
-    vehicles.window()
-    begun = vehicles.renew(carried, np.array([0.0, 0.0, 1e6, np.nan]))
-    assert (begun.state != carried.state).any(axis=0).tolist() == [True, False, True, True]  # the first was to end here
+    group.exogenous_inputs()
+    group.renew(group.carried, np.array([0.0, 0.0, 1e6, np.nan]))
+    assert group.begins.tolist() == [True, False, True, True]  # the last two have failed
 
 
 def test_windows_and_their_renewal_are_steps_of_the_environment():
-    """What trains in windows is the environment that steps: observations and beginnings agree, previews as well."""
+    """Observations, previews and the beginnings of episodes are those of the environment."""
     scenario = replace(PRESETS["cruise-storm"], steps=8)
-    vehicles = TrainingVehicles([scenario] * 3, 5, 4, (1, 4))
+    group = group_of([[scenario]] * 3, 5, n_steps=4, preview=(1, 4))
     env = UnderactuatedAUVTrackVectorEnv(3, scenario, preview=(1, 4))
-    vehicles._left[:] = 8
-    loop, carried, (observation, _) = (
-        ClosedLoop(law_of(Zero())[0], parts=vehicles.parts),
-        vehicles.reset(0),
-        env.reset(seed=5),
-    )
-    state, terms, rng = carried.state, carried.observation, np.random.default_rng(0)
+    group._left[:] = 8
+    loop, (observation, _) = ClosedLoop(law_of(Zero())[0], parts=group.sub_envs.parts), env.reset(seed=5)
+    rng = np.random.default_rng(0)
     for ends in (False, True, False, True):
-        for ahead, sample in zip(*vehicles.window(), strict=True):
-            columns = preview_columns(ahead, Observation._make(terms), ARRAYS, span=1)
+        state, terms, constants = group.carried.state, group.carried.observation, group.sub_envs.constants
+        for ahead, sample in zip(*group.exogenous_inputs(), strict=True):
+            columns = preview_columns(ahead, Observation._make(terms), ARRAYS, bound_factor=1)
             np.testing.assert_allclose(np.transpose(columns), observation[:, len(TERMS) :], rtol=0, atol=1e-12)
             actions = rng.uniform(-0.3, 0.3, (3, 2))
-            given = state, actions.T, np.zeros((2, 3)), sample, vehicles.constants, AUTHORITY, LOSS
-            moved = loop.move(*given, ARRAYS)
+            moved = loop.move(state, actions.T, np.zeros((2, 3)), sample, constants, AUTHORITY, LOSS, ARRAYS)
             state, terms = np.array(moved.state), np.array(moved.observation)
             observation, _, _, truncated, _ = env.step(actions)
         assert truncated.tolist() == [ends] * 3
-        carried = vehicles.renew(carried._replace(state=state, observation=terms), moved.squared_error)
-        state, terms = carried.state, carried.observation
-        np.testing.assert_allclose(terms.T, observation[:, : len(TERMS)], rtol=0, atol=1e-12)
+        group.renew(group.carried._replace(state=state, observation=terms), moved.squared_error)
+        np.testing.assert_allclose(group.carried.observation.T, observation[:, : len(TERMS)], rtol=0, atol=1e-12)
 
 
 def configuration(**changes):
     scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("cruise-current", "cruise-storm"))
     settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "learning_rate": 5e-3}
-    given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 50, "hyperparameters": settings}
-    return Config(scenarios=scenarios, **(given | changes))
+    usual = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 50, "hyperparameters": settings, "scenarios": scenarios}
+    return Config(**(usual | changes))
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    """One whole run."""
-    torch.set_num_threads(1)
-    run = RunFolder(configuration(), tmp_path_factory.mktemp("run"))
+@pytest.mark.slow
+def test_training_improves_and_returns_the_best_agent(tmp_path):
+    run = RunFolder(configuration(), tmp_path)
     agent = train(run)
     run.close()
-    return run, agent
-
-
-def rows(run):
-    return [{k: v for k, v in row.items() if k != "seconds"} for row in run._rows]
-
-
-@pytest.mark.slow
-def test_training_improves(trained):
-    run, _ = trained
-    scores = [row["score"] for row in rows(run) if "score" in row]
-    count_failures = [row["loss"] for row in rows(run) if "loss" in row]
+    scores, losses = ([row[name] for row in read_progress(tmp_path) if name in row] for name in ("score", "loss"))
     assert len(scores) == 21
     assert max(scores) > 0.01
-    assert np.mean(count_failures[-10:]) < np.mean(count_failures[:10])
-
-
-@pytest.mark.slow
-def test_best_agent_is_returned(trained):
-    run, agent = trained
-    best = max(row["score"] for row in rows(run) if "score" in row)
-    assert run.validation.run(agent.policy(precision=VALIDATION_PRECISION)).score == best
-    assert run.validation.run(agent.policy()).score == pytest.approx(best, abs=1e-5)
+    assert np.mean(losses[-10:]) < np.mean(losses[:10])
+    assert run.validation.run(agent.policy(precision=VALIDATION_PRECISION)).score == max(scores)
+    assert run.validation.run(agent.policy()).score == pytest.approx(max(scores), abs=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(12, 30), (30, 12), (16, 16)])
@@ -358,16 +323,10 @@ def test_adam_updates_matrices_without_a_rate_for_muon():
     [
         ({"n_env": 8}, "no entry 'n_env'"),
         ({"n_envs": 1}, "1 vehicles are too few for 2 scenarios"),
-        ({"n_envs": 0}, "n_envs is 0"),
         ({"n_steps": 51}, "at most 50"),
-        ({"learning_rate": -1.0}, "learning_rate is -1.0"),
-        ({"matrix_learning_rate": -0.1}, "matrix_learning_rate is -0.1"),
-        ({"final_share": 1.5}, "final_share is 1.5"),
         ({"hidden_size": 0}, "is 0; it must be an integer"),
-        ({"compiled": True}, "no entry 'compiled'"),
-        ({"preview": [0]}, "preview is"),
         ({"memory": 1}, "memory is 1"),
-        ({"groups": 0}, "groups is 0"),
+        ({"preview": [0]}, "preview is"),
         ({"n_envs": 8, "groups": 5}, "groups is 5; with n_envs 8 it must be at most 4"),
     ],
 )
@@ -379,7 +338,7 @@ def test_refuses_settings(settings, says):
 def test_expert_and_network_have_separate_previews(tmp_path):
     """Expert and network ask for different times; in training as in use each gets its own."""
     settings = configuration().hyperparameters | {"preview": (3, 20)}
-    trainer = trainer_of(RunFolder(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
+    trainer = ApgTrainer(RunFolder(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
     policy, nmpc = trainer.agent(trainer.weights).policy(), make_policy("nmpc")
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
@@ -388,23 +347,133 @@ def test_expert_and_network_have_separate_previews(tmp_path):
         observation, _ = env.reset(seed=trainer.run.config.episode_seed)
         actions.append((policy if preview == policy.preview else nmpc).predict(observation)[0])
     np.testing.assert_array_equal(*actions)
-    [group] = trainer.groups.own.groups.values()
-    ahead, _ = group.vehicles.window()
-    mine = group._act(group.carried.observation, ahead[0], np.ones(8, dtype=bool))
-    np.testing.assert_allclose(mine.T, actions[0], atol=1e-6)
+    [members] = divided(trainer.run.config, trainer.settings)
+    group = VehicleGroup(trainer.run.config, trainer.settings, members)
+    ahead, _ = group.exogenous_inputs()
+    action = group.expert_action(group.carried.observation, ahead[0], np.ones(8, dtype=bool))
+    np.testing.assert_allclose(action.T, actions[0], atol=1e-6)
 
 
 def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     run = RunFolder(configuration(), tmp_path)
-    trainer = trainer_of(run)
-
-    def diverged(self, weights):
-        return WindowGradient(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
-
-    monkeypatch.setattr(Groups, "learn", diverged)
+    trainer = ApgTrainer(run)
     before = weights_of(trainer.network)
+    diverged = WindowGradient(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in before.items()})
+    monkeypatch.setattr(VehicleGroup, "learn", lambda self, weights: diverged)
     trainer.update()
     run.close()
     assert trainer.skipped == 1
     for name, weights in weights_of(trainer.network).items():
         np.testing.assert_array_equal(weights, before[name])
+    monkeypatch.setattr("baselines.training.apg.trainer.PATIENCE", 1)
+    with pytest.raises(TrainingError, match="1 gradients in a row were not finite; lower learning_rate"):
+        trainer.update()
+
+
+# Groups of vehicles, which processes compute.
+
+GROUPED = {"n_envs": 20, "n_steps": 10, "hidden_size": 16, "groups": 3, "derivative_bound": 3, "error_exponent": 0.75}
+
+
+def grouped(**changes):
+    """Return a training whose vehicles are in groups, and its settings."""
+    scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("slow-current", "cruise-storm"))
+    config = configuration(scenarios=scenarios, hyperparameters=GROUPED | changes)
+    return config, check(config)
+
+
+@pytest.fixture
+def weights():
+    return weights_of(network(sizes=grouped()[1].network, dtype=torch.float32))
+
+
+def test_groups_have_all_vehicles_and_their_shares():
+    config, settings = grouped()
+    groups = divided(config, settings)
+    assert [len(group.variants) for group in groups] == [8, 6, 6]
+    scenarios = config.env_scenarios(settings.n_envs)
+    names = [scenario.name for group in groups for [scenario] in group.variants]
+    assert sorted(names) == sorted(scenario.name for scenario in scenarios)
+    seeds = [group.seed + i for group in groups for i in range(len(group.variants))]
+    assert seeds == list(range(config.episode_seed, config.episode_seed + 20))
+    whole = settings.objective([scenario.name for scenario in scenarios])
+    shares = np.concatenate([group.objective.shares for group in groups])
+    assert sorted(shares) == sorted(whole.shares)
+    for group in groups:
+        of = settings.objective([scenario.name for [scenario] in group.variants])
+        np.testing.assert_array_equal(group.objective.loss.rate, of.loss.rate)
+        even = divided_by_error(group.objective.shares, np.geomspace(0.01, 1, len(group.variants)), 0.75)
+        assert even.sum() == pytest.approx(group.objective.shares.sum())
+
+
+def test_half_of_each_group_has_drawn_models(monkeypatch):
+    monkeypatch.setattr(vehicle_models, "SEVERAL", 2)
+    for group in divided(*grouped(n_envs=8, groups=2, nominal_vehicle=True, drawn_share=0.5)):
+        assert sorted(len(own) for own in group.variants) == [1, 1, 2, 2]
+
+
+@pytest.mark.slow
+def test_gradients_do_not_depend_on_the_number_of_processes(weights):
+    """To the last bit, and also after a checkpoint that another number of processes resumes."""
+    config, settings = grouped()
+    members, learned = divided(config, settings), []
+    for before, after in ((1, 1), (2, 1), (1, 4)):
+        states, windows = [None] * 3, []
+        for processes, count in ((before, 2), (after, 1)):
+            arguments = [(config, settings, *group) for group in zip(members, states, strict=True)]
+            with closing(ProcessObjects(VehicleGroup, arguments, processes)) as groups:
+                windows += [summed(groups.call("learn", weights)) for _ in range(count)]
+                states = groups.call("state")
+        learned.append(windows)
+    for windows in zip(*learned, strict=True):
+        assert len({(window.loss, window.error) for window in windows}) == 1
+        for name, gradient in windows[0].gradients.items():
+            assert all(np.array_equal(window.gradients[name], gradient) for window in windows)
+
+
+def test_the_gradient_of_groups_is_the_sum_of_theirs(weights):
+    """Each weighed as in the mean over all vehicles: against a window of the group alone, whose shares add up to 1."""
+    config, settings = grouped()
+    together = summed([VehicleGroup(config, settings, members).learn(weights) for members in divided(config, settings)])
+    loss, error, gradients = 0.0, 0.0, {name: np.zeros_like(w) for name, w in weights.items()}
+    for members in divided(config, settings):
+        share = members.objective.shares.sum()
+        alone = replace(members, objective=replace(members.objective, shares=members.objective.shares / share))
+        part = VehicleGroup(config, settings, alone).learn(weights)
+        loss, error = loss + share * part.loss, error + part.error
+        for name, gradient in part.gradients.items():
+            gradients[name] += share * gradient
+    assert (together.loss, together.error) == (pytest.approx(loss), pytest.approx(error))
+    for name, gradient in together.gradients.items():
+        np.testing.assert_allclose(gradients[name], gradient, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
+
+
+class Counter:
+    def __init__(self, count):
+        if count < 0:
+            raise ValueError("none can be there")
+        self.count = count
+
+    def add(self, more):
+        self.count += more
+        return self.count, os.getpid()
+
+    def end(self, parent):
+        if os.getpid() != parent:
+            os._exit(3)
+
+
+def test_objects_in_several_processes_answer_in_their_order():
+    with closing(ProcessObjects(Counter, [(count,) for count in range(5)], 2)) as objects:
+        counts, processes = zip(*objects.call("add", 10), strict=True)
+        assert counts == (10, 11, 12, 13, 14)
+        assert processes[0] == processes[2] == processes[4] == os.getpid() != processes[1] == processes[3]
+        assert [count for count, _ in objects.call("add", 1)] == [11, 12, 13, 14, 15]
+        with pytest.raises(WorkerError, match="a worker process ended unexpectedly"):
+            objects.call("end", os.getpid())
+    with closing(ProcessObjects(Counter, [(1,), (-1,)], 2)) as objects, pytest.raises(ValueError, match="none can be"):
+        objects.call("add", 1)
+
+
+def test_parallel_trainings_share_the_processes():
+    assert [Workers(5).each_of(tasks) for tasks in (1, 2, 5, 9)] == [5, 2, 1, 1]

@@ -1,7 +1,7 @@
 """The tracking law against an independent form of the paper's equations, and properties of its closed loop."""
 
 import math
-from dataclasses import astuple
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 import baselines
 from auv_gym.physics.dynamics import rates
-from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE as V
 from auv_gym.task.observation import SIZE, Observation, decode_observation, encode_observation
-from baselines.control.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
-from baselines.policy import action_of, is_fast, reference_speed
+from baselines.control.backstepping import GAINS, Backstepping, StabilityWarning, lyapunov_terms, tracking_forces
+from baselines.policy import action_of
 
 small = st.floats(-2, 2)
 PAPER = GAINS["paper"]
@@ -28,20 +28,6 @@ def observation(e_x=0.0, e_y=0.0, psi_e=0.0, u_e=0.0, v_e=0.0, r_e=0.0, speed=0.
     F_uR, F_rR = V.d11 * u_R - V.m22 * v_R * r_R, (V.m22 - V.m11) * u_R * v_R + V.d33 * r_R
     known = e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, 1.0, 0.0, 400.0, 200.0, 0.0, 0.0, 0.1
     return Observation(*known, *[0.0] * (SIZE - len(known)))
-
-
-LITERALS = {
-    "paper": (0.5, 0.7, 0.5, 0.7, 0.6, 0.6, 0.1, 0.49, None),
-    "cruise": (0.918, 0.335, 0.028, 1.016, 1.189, 0.102, 0.478, 2.0, None),
-    "robust": (0.1408, 1.1192, 0.0059, 0.0731, 1.1634, 0.0032, 0.5062, 2.0, None),
-    "normalised-paper": (0.5, 0.7, 0.5, 0.7, 0.6, 0.6, 0.1, math.inf, 0.1),
-    "normalised": (0.4, 0.7, 0.23, 0.0, 2.0, 0.0, 0.155, math.inf, 0.1),
-}
-"""k, k1, cu, ku, c, kc, cr, largest speed, reference speed: the gains of all recorded rows and agents."""
-
-
-def test_gains_are_those_of_the_paper_and_of_the_records():
-    assert {name: astuple(gains) for name, gains in GAINS.items()} == LITERALS
 
 
 def test_law_is_the_papers():
@@ -106,19 +92,9 @@ def test_normalised_form_scales_with_the_speed(e_x, e_y, psi_e, speed):
 
 def test_auto_chooses_the_gains_by_speed():
     auto = Backstepping()
-    for speed, name in ((0.3, "paper"), (0.5, "cruise")):
+    for speed, name in ((0.39, "paper"), (0.41, "cruise")):
         o = observation(0.1, 0.2, 0.1, speed=speed)
         assert auto.forces(o) == tracking_forces(o, V, GAINS[name])
-
-
-@pytest.mark.parametrize(
-    ("u_R", "v_R", "speed", "fast"),
-    [(0.0, 0.0, 0.02, False), (0.012, -0.016, 0.02, False), (0.24, 0.32, 0.4, False), (0.3, -0.27, 0.40361, True)],
-)
-def test_speed_and_speed_range_of_a_reference(u_R, v_R, speed, fast):
-    assert reference_speed(u_R, v_R, FLOATS) == pytest.approx(speed, rel=1e-5)
-    assert reference_speed(np.array([u_R]), np.array([v_R]), ARRAYS) == pytest.approx(speed, rel=1e-5)
-    assert is_fast(u_R, v_R) == fast
 
 
 def test_action_is_the_share_of_the_limits():
@@ -161,7 +137,6 @@ def test_bounded_error_bounds_the_force(e_x, e_y):
     ("options", "message"),
     [
         ({"gains": "soft"}, "unknown gains 'soft'; allowed are a Gains, auto, paper"),
-        ({"vehicle": "boat"}, "unknown vehicle 'boat'"),
         ({"horizon": 0.0}, "horizon is 0.0"),
         ({"colour": 1}, "does not take these options"),
     ],
@@ -169,11 +144,8 @@ def test_bounded_error_bounds_the_force(e_x, e_y):
 def test_bad_options_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         baselines.make_policy("backstepping", **options)
-
-
-def test_bad_gains_are_refused():
     with pytest.raises(ValueError, match="gain cr is nan"):
-        Gains(0.5, 0.7, 0.5, 0.7, 0.6, 0.6, math.nan)
+        replace(PAPER, cr=math.nan)
 
 
 def test_open_loop_is_the_plan():

@@ -7,16 +7,13 @@ import pytest
 from marks import slow_except
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.namespaces import ARRAYS
-from auv_gym.scenarios.presets import PRESETS
-from auv_gym.task.observation import BOUNDS, SCALES, SIZE, TERMS, Observation, bounds, encode_observation
+from auv_gym.task.observation import SIZE, Observation, encode_observation
 from auv_gym.task.policy import LARGEST, POSITIVE, last_commands, measured, preview_of, usable
 from baselines import list_policies, make_policy
-from baselines.agents import filters
-from baselines.policy import Batched, Privileged, Remembering
+from baselines.policy import Privileged, Remembering
 
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
-WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
+WRAPPED = ["helm:guard", "apg-cruise:guard=ekf"]
 GUARDED = [*PLAIN, *WRAPPED, "helm:guard=nmpc-adverse"]
 BAD = (math.nan, math.inf, -math.inf, 1e30, -1e30)
 NOT_POSITIVE = (0.0, -1.0)  # invalid for limits and control period
@@ -122,17 +119,14 @@ def test_an_episode_with_an_invalid_first_observation_begins_with_the_second(nam
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
-@pytest.mark.parametrize("value", slow_except([3e3], [1e6, 3e3]))
-def test_memory_and_actions_stay_finite_after_one_distant_position(name, value):
+def test_memory_and_actions_stay_finite_after_one_distant_position(name):
     """The position is a valid number, so policies use it."""
-    policy, memory, observation, _ = started(name)
+    policy, memory = make_policy(name), None
     env = environment(policy)
     observation = env.reset(seed=5)[0]
-    memory = None
     for k in range(60):
         seen = observation.copy()
-        if k == 10:
-            seen[:, 0] = value
+        seen[:, 0] = 3e3 if k == 10 else seen[:, 0]
         action, memory = policy.predict(seen, memory)
         assert np.isfinite(action).all()
         assert all(np.isfinite(array).all() for array in memory or ())
@@ -156,26 +150,6 @@ def test_commands_are_finite_for_every_observation_of_the_space(name):
         seen = np.where(rng.random((n, 1)) < 0.2, drawn, seen)
         action, memory = policy.predict(seen, memory)
         assert (np.abs(action) <= 1.0).all()
-
-
-def test_the_memory_of_filters_is_bounded():
-    """For random observations; without the bounds the estimates overflow within ten steps."""
-    rng, n = np.random.default_rng(0), 200
-    memory, seen = np.zeros((filters.ROWS, n)), None
-    most = np.array(list(filters.LARGEST_ESTIMATE.values()))[:, None]
-    for k in range(100):
-        rows = rng.uniform(-1, 1, (SIZE, n)) * BOUNDS[:, None]
-        rows[11:13] /= np.hypot(*rows[11:13])
-        rows[[13, 14, 17]] = np.abs(rows[[13, 14, 17]]) + 0.1
-        o = Observation._make(rows * SCALES[:, None])
-        seen = seen if k % 3 else o  # two of three observations are repeated
-        with np.errstate(all="ignore"):
-            result, memory = filters.filter_step(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
-        memory = np.array(memory)
-        for i, estimate in enumerate(result.estimates):
-            rows = memory[filters.SHARED + i * len(most) : filters.SHARED + (i + 1) * len(most)]
-            assert (np.abs(rows) <= most).all()
-            assert np.isfinite(np.array(estimate)).all()
 
 
 class Counter(Remembering):
@@ -208,18 +182,6 @@ def test_a_memory_that_is_not_finite_is_reset(law):
     assert policy.repeated == 0
 
 
-class Fails(Batched):
-    """A policy without memory that returns NaN."""
-
-    def actions(self, rows, state, episode_start, deterministic):
-        return np.full((len(rows), 2), math.nan, dtype=np.float32), state
-
-
-def test_invalid_actions_of_a_model_are_returned():
-    """For a valid observation they are an error of the model, which evaluate.py reports."""
-    assert np.isnan(Fails().predict(np.ones(SIZE))[0]).all()
-
-
 def test_usable_observations():
     rows = np.tile(encode_observation(Observation(*np.full(SIZE, 0.5))), (6, 1))
     assert measured(rows)
@@ -230,21 +192,12 @@ def test_usable_observations():
     rows[:, LAST] = [[0.5, -0.5], [1.5, 0.1], [math.nan, -1.0], [0.0, math.inf], [1.0, 1.0], [-1.0, 0.25]]
     expected = [[0.5, -0.5], [0.0, 0.1], [0.0, -1.0], [0.0, 0.0], [1.0, 1.0], [-1.0, 0.25]]
     np.testing.assert_array_equal(last_commands(rows), np.array(expected, np.float32))
-    assert [TERMS[i].name for i in range(SIZE)][LAST] == ["a_u", "a_r"]
 
 
-@pytest.mark.parametrize("name", ["backstepping", "helm", "ekf", "apg-cruise:guard=ekf"])
-def test_large_valid_numbers_are_used(name):
+def test_large_valid_numbers_are_used():
     """The sum of their squares exceeds the fast check, so each number is checked."""
-    policy, memory, observation, _ = started(name)
+    policy, memory, observation, _ = started("helm:guard")
     observation[1, :2] = 0.9 * LARGEST
-    assert not measured(observation)
     action, _ = policy.predict(observation, memory)
     assert np.isfinite(action).all()
     assert (action[1] != last_commands(observation)[1]).any()
-
-
-def test_bounds_of_all_observations_are_usable():
-    for preset in PRESETS.values():
-        assert (bounds(preset.span) < LARGEST).all()
-    assert (bounds(2**31) < LARGEST).all(), "the widest one that can be encoded"

@@ -35,11 +35,11 @@ def table(log):
 
 
 def test_units_are_converted(log, tmp_path):
-    own = table(log)
+    si = table(log)
     shown = {
-        "time (min)": own["t"] / 60, "x_km": own["x"] / 1e3, "y_ft": own["y"] / 0.3048, "hdg": np.degrees(own["psi"]),
-        "u_kn": own["u"] * 3600 / 1852, "v_kmh": own["v"] * 3.6, "rot": np.degrees(own["r"]) * 60,
-        "kN": own["F_u"] / 1e3, "minus": -own["F_r"],
+        "time (min)": si["t"] / 60, "x_km": si["x"] / 1e3, "y_ft": si["y"] / 0.3048, "hdg": np.degrees(si["psi"]),
+        "u_kn": si["u"] * 3600 / 1852, "v_kmh": si["v"] * 3.6, "rot": np.degrees(si["r"]) * 60,
+        "kN": si["F_u"] / 1e3, "minus": -si["F_r"],
     }  # fmt: skip
     units = ("min", "km", "ft", "deg", "knots", "km/h", "deg/min", "kN", "N m")
     columns = {name: {"column": head, "unit": unit} for name, head, unit in zip(SI, shown, units, strict=True)}
@@ -54,38 +54,18 @@ def test_columns_by_number_and_white_space(log, tmp_path):
     np.testing.assert_allclose(got.table, log.table, rtol=1e-9, atol=1e-9)
 
 
-def test_east_north_up_and_speeds_in_the_world(log, tmp_path):
-    own = table(log)
-    c, s = np.cos(own["psi"]), np.sin(own["psi"])
-    north, east = own["u"] * c - own["v"] * s, own["u"] * s + own["v"] * c
-    enu = own | {"x": own["y"], "y": own["x"], "psi": math.pi / 2 - own["psi"], "r": -own["r"], "F_r": -own["F_r"]}
-    for velocity, u, v in (("world", east, north), ("body", own["u"], -own["v"])):
-        file = written(tmp_path, enu | {"u": u, "v": v})
-        got = Log.load(file, Format(SI, axes="ENU", velocity=velocity))
-        np.testing.assert_allclose(got.table, log.table, rtol=1e-9, atol=1e-9)
-
-
-def test_latitude_and_longitude_are_distances_on_the_earth(log, tmp_path):
-    """Vincenty's distances of two places near 59 degrees north, from its published formulas on the same ellipsoid."""
-    own = table(log)
-    place = math.radians(59.0), math.radians(10.0)
-    a, b = 6378137.0, 6356752.314245
-    radius = (a * b) ** 2 / ((a * math.cos(place[0])) ** 2 + (b * math.sin(place[0])) ** 2) ** 1.5  # of the meridian
-    across = a**2 / math.hypot(a * math.cos(place[0]), b * math.sin(place[0])) * math.cos(place[0])
-    own = {n: x for n, x in own.items() if n not in "xy"} | {
-        "lat": np.degrees(place[0] + own["x"] / radius),
-        "lon": np.degrees(place[1] + own["y"] / across),
-    }
-    columns = {name: name for name in SI if name not in "xy"}
-    columns |= {name: {"column": name[:3], "unit": "deg"} for name in ("latitude", "longitude")}
-    got = Log.load(written(tmp_path, own), Format(columns))
-    np.testing.assert_allclose(got.measured[:, :2], log.measured[:, :2] - log.measured[0, :2], atol=2e-4)
+def test_east_north_up(log, tmp_path):
+    si = table(log)
+    enu = si | {"x": si["y"], "y": si["x"], "psi": math.pi / 2 - si["psi"]}
+    enu |= {name: -si[name] for name in ("v", "r", "F_r")}
+    got = Log.load(written(tmp_path, enu), Format(SI, axes="ENU"))
+    np.testing.assert_allclose(got.table, log.table, rtol=1e-9, atol=1e-9)
 
 
 def test_gaps_and_empty_rows_divide_a_log_into_runs(log, tmp_path):
-    own = table(log)
-    own["x"] = np.where((log.t > 20) & (log.t < 30), np.nan, own["x"])
-    got = Log.load(written(tmp_path, own), Format(SI))
+    si = table(log)
+    si["x"] = np.where((log.t > 20) & (log.t < 30), np.nan, si["x"])
+    got = Log.load(written(tmp_path, si), Format(SI))
     assert got.starts == (0, 201)
     assert got.duration == pytest.approx(50.0)
     both = joined([got, log])
@@ -101,9 +81,9 @@ def test_rows_are_thinned_and_commands_averaged(log, tmp_path):
 
 
 def test_wind_blows_from_where_it_is_said_to_come(log, tmp_path):
-    own = table(log) | {"speed": np.full(len(log.t), 3.0), "from": np.full(len(log.t), math.pi / 2)}
+    si = table(log) | {"speed": np.full(len(log.t), 3.0), "from": np.full(len(log.t), math.pi / 2)}
     columns = SI | {"wind_speed": "speed", "wind_from": "from"}
-    got = Log.load(written(tmp_path, own), Format(columns))
+    got = Log.load(written(tmp_path, si), Format(columns))
     np.testing.assert_allclose(got.wind, np.tile([0.0, -3.0], (len(log.t), 1)), atol=1e-9)
 
 
@@ -121,7 +101,6 @@ def test_formats_that_ship_are_whole(name):
         ({"columns": SI | {"psi": {"column": "psi", "unit": "gon"}}}, "psi is in 'gon'; allowed are rad, deg"),
         ({"columns": SI | {"psi": 0}}, "column is 0; it must be a name or a number from 1 on"),
         ({"axes": "up"}, "format axes is 'up'; allowed are NED, ENU"),
-        ({"velocity": "ground"}, "format velocity is 'ground'; allowed are body, world"),
         ({"skip": -1}, "format skip is -1"),
         ({"separator": "tab"}, "format separator is 'tab'"),
     ],
@@ -151,21 +130,27 @@ def test_wrong_files_are_refused_in_one_line(log, tmp_path):
 
 
 def test_the_format_of_the_page_reads_a_log(log, tmp_path):
-    """A TOML block of docs/identify.md: places on the earth, axes ENU, speeds in the world, commands of a ship."""
+    """A TOML block of docs/identify.md: places near 59 degrees north, axes ENU, speeds in the world, a ship's commands.
+
+    Distances on the earth are those of the ellipsoid's radii of curvature, as Vincenty has them.
+    """
     page = (Path(__file__).parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
     (tmp_path / "own.toml").write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
-    own = table(log)
-    c, s = np.cos(own["psi"]), np.sin(own["psi"])
-    north, east = own["u"] * c - own["v"] * s, own["u"] * s + own["v"] * c
-    curvature = 6335439.0, 6378137.0  # [m] radii of the ellipsoid at the equator
+    si = table(log)
+    c, s = np.cos(si["psi"]), np.sin(si["psi"])
+    north, east = si["u"] * c - si["v"] * s, si["u"] * s + si["v"] * c
+    a, b, place = 6378137.0, 6356752.314245, math.radians(59.0)
+    across = math.hypot(a * math.cos(place), b * math.sin(place))
+    lat = 59 + np.degrees(si["x"] / ((a * b) ** 2 / across**3))
+    lon = 10 + np.degrees(si["y"] / (a**2 / across * math.cos(place)))
     shown = {
-        "time": own["t"], "lat": np.degrees(own["x"] / curvature[0]), "lon": 10 + np.degrees(own["y"] / curvature[1]),
-        "yaw": 90 - np.degrees(own["psi"]), "v_east": east * 3600 / 1852, "v_north": north * 3600 / 1852,
-        "yaw_rate": -np.degrees(own["r"]), "propeller": 60 * own["F_u"], "helm": np.degrees(own["F_r"] / 1000),
+        "time": si["t"], "lat": lat, "lon": lon, "yaw": 90 - np.degrees(si["psi"]),
+        "v_east": east * 3600 / 1852, "v_north": north * 3600 / 1852, "yaw_rate": -np.degrees(si["r"]),
+        "propeller": 60 * si["F_u"], "helm": np.degrees(si["F_r"] / 1000),
     }  # fmt: skip
     form = replace(Format.named(str(tmp_path / "own.toml")), every=0.0)
     got = Log.load(written(tmp_path, shown, separator=";"), form)
     assert got.kind == "revolutions"
-    measured = own["x"] - own["x"][0], own["y"] - own["y"][0], *(own[name] for name in MEASURED_COLUMNS[2:])
-    np.testing.assert_allclose(got.measured, np.column_stack(measured), rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(got.commands, np.column_stack((own["F_u"], own["F_r"] / 1000)), atol=1e-9)
+    measured = log.measured - log.measured[0] * ([1, 1] + [0] * 4)
+    np.testing.assert_allclose(got.measured, measured, rtol=1e-5, atol=2e-4)
+    np.testing.assert_allclose(got.commands, np.column_stack((si["F_u"], si["F_r"] / 1000)), atol=1e-9)

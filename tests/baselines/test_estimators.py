@@ -1,29 +1,31 @@
-"""Filter and observer against true disturbances and statistics; the plan in the water frame against the planner."""
+"""The filter against true disturbances, faults and statistics; the plan in the water frame against the planner."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from auv_gym.codegen.matrices import symmetric
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.actuators import Response
-from auv_gym.physics.disturbances import RandomCurrent
+from auv_gym.physics.actuators import LONGEST_DELAY, Actuators
+from auv_gym.physics.disturbances import RandomCurrent, RandomWaves, Waves
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import ARRAYS, FLOATS, wrap_angle
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.namespaces import ARRAYS, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Circle, FigureEight, Sine
 from auv_gym.planning.planner import plan
+from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from auv_gym.task.observation import Observation
-from auv_gym.task.simulation import PARAMETER_ROWS, Parameters, Parts, start, step
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
-from baselines.control.current_observer import sampled_gains
 from baselines.control.ekf_law import EKF_GAINS
+from baselines.control.nmpc.controller import ENDS, delayed_targets
+from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting_forces, after_delay
 from baselines.estimation.filter_equations import Belief
-from baselines.estimation.kalman import HYPOTHESES, ODDS, ExtendedKalmanFilter, beliefs_of, tuning_of
-from baselines.estimation.sea_model import Estimate
+from baselines.estimation.kalman import HYPOTHESES, ODDS
+from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.estimation.water_frame import (
     PlannedReference,
     ReferenceMotion,
@@ -32,6 +34,8 @@ from baselines.estimation.water_frame import (
     reference_motion,
     water_errors,
 )
+from baselines.evaluation.cells import drawn
+from baselines.evaluation.rollout import rollout
 from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
@@ -43,16 +47,17 @@ def every_preset(count):
     return UnderactuatedAUVTrackVectorEnv(len(names), scenarios), np.array(names)
 
 
+def covariances(belief):
+    """Return the covariances of the states, shape (N, 22, 22)."""
+    return np.array(symmetric(list(belief.covariance))).transpose(2, 0, 1)
+
+
 def likelier(memory):
-    """Return for each vehicle the memory of the filter with the higher likelihood."""
-    rough, calm = beliefs_of(memory[:HYPOTHESES])
+    """Return for each vehicle the memory of the filter with the higher likelihood, with covariances (N, 22, 22)."""
+    rough, calm = (Belief.of(rows.T) for rows in memory[:HYPOTHESES])
     better = calm.fit[0] > rough.fit[0] + ODDS
-
-    def chosen(a, b):
-        vehicles_first = len(a) == len(better) and a.ndim == 3
-        return np.where(better[:, None, None] if vehicles_first else better, b, a)
-
-    return Belief(*(chosen(a, b) if np.size(a) else a for a, b in zip(rough, calm, strict=True)))
+    chosen = Belief(*(np.where(better, b, a) if np.size(a) else a for a, b in zip(rough, calm, strict=True)))
+    return chosen._replace(covariance=covariances(chosen))
 
 
 def test_filter_over_long_runs():
@@ -65,14 +70,14 @@ def test_filter_over_long_runs():
         action, memory = policy.predict(observation, memory, first)
         if k >= 200 and k % 5 == 0:
             _, z, P, *_ = likelier(memory)
-            position = (env.state[:, :2] - np.stack((env.reference.x, env.reference.y), axis=1)) - z[:2].T
+            position = position_errors(env) - z[:2].T
             heading = wrap_angle(env.state[:, 2:3] - z[2][:, None], ARRAYS)
             error = np.concatenate((position, heading), axis=1)
             distances.append(np.einsum("ni,ni->n", error, np.linalg.solve(P[:, :3, :3], error[..., None])[..., 0]))
         observation, *_ = env.step(action)
         first = np.zeros_like(first)
         if k % 25 == 0:
-            for P in (belief.covariance for belief in beliefs_of(memory[:HYPOTHESES])):
+            for P in (covariances(Belief.of(rows.T)) for rows in memory[:HYPOTHESES]):
                 deviation = np.sqrt(np.einsum("nii->ni", P))
                 least = min(least, np.linalg.eigvalsh(P / deviation[:, :, None] / deviation[:, None, :]).min())
     assert least > 1e-12
@@ -89,71 +94,57 @@ TURNING = RandomPath(speed=(0.6, 1.2), turn_rate=0.12, families=("circle", "sine
 CURRENT = replace(PRESETS["cruise-current"], path=TURNING)
 
 
-def memory_after(scenario, policy, n=24, steps=500):
-    """Return the memory of the policy and the environment after `steps` steps from seed 0."""
-    env = UnderactuatedAUVTrackVectorEnv(n, scenario)
-    observation, _ = env.reset(seed=0)
-    memory, first = None, np.ones(n, dtype=bool)
+def filtered(policy, scenario, n, steps, episodes=None, varied=0.0):
+    """Return memory, estimates and environment after `steps` control periods with random changes of the commands."""
+    env = UnderactuatedAUVTrackVectorEnv(n, scenario, preview=policy.preview)
+    observation, _ = env.reset(seed=0, options={"episode": episodes} if episodes else None)
+    controller = getattr(policy.controller, scenario.name.partition("-")[0], policy.controller)  # by its speed range
+    update, result, memory, rng = controller.filter.update, [], None, np.random.default_rng(0)
+
+    def recorded(memory, o):
+        after, z = update(memory, o)
+        result[:] = [z]
+        return after, z
+
+    controller.filter.update = recorded
     for _ in range(steps):
-        action, memory = policy.predict(observation, memory, first)
-        observation, *_ = env.step(action)
-        first = np.zeros_like(first)
-    _, memory = policy.predict(observation, memory, first)
-    return memory, env
+        action, memory = policy.predict(observation, memory)
+        observation, *_ = env.step(np.clip(action + rng.normal(0, varied, (n, 2)), -1, 1))
+    _, memory = policy.predict(observation, memory)
+    return memory, result[0], env
+
+
+def position_errors(env):
+    """Return the true position errors in the world, shape (N, 2)."""
+    return env.state[:, :2] - np.stack((env.reference.x, env.reference.y), axis=1)
 
 
 def test_filter_estimates_the_current_with_noisy_sensors():
     """On a turning path current and load are both observable, if the model's load is almost constant."""
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
     gains = {**load_gains("ekf", "cruise", EKF_GAINS), "current": 0.01, "gust": 0.001, **calm}
-    policy = make_policy("ekf", gains=gains)
-    memory, env = memory_after(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), policy)
+    turning = RandomPath(speed=(0.6, 1.2), turn_rate=0.12, families=("circle", "sine", "figure_eight"))
+    scenario = replace(PRESETS["cruise-current"], path=turning, sensors=PRESETS["cruise-noise"].sensors)
+    memory, _, env = filtered(make_policy("ekf", gains=gains), scenario, 24, 500)
     z = Estimate(*likelier(memory).state)
     error = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
     assert np.hypot(*env.current.T).mean() > 0.2
     assert error.mean() < 0.06
-    state, reference = env.state, env.reference
-    assert np.hypot(z.x_e - (state[:, 0] - reference.x), z.y_e - (state[:, 1] - reference.y)).mean() < 0.03
-    assert abs(wrap_angle(z.psi - state[:, 2], ARRAYS)).mean() < 0.01
-
-
-def test_observer_estimates_the_current():
-    memory, env = memory_after(CURRENT, make_policy("current-observer"))
-    assert np.hypot(*(memory[0][:, 5:7] - env.current).T).max() < 0.02
+    assert np.hypot(*(np.array((z.x_e, z.y_e)) - position_errors(env).T)).mean() < 0.03
+    assert abs(wrap_angle(z.psi - env.state[:, 2], ARRAYS)).mean() < 0.01
 
 
 def test_filter_estimates_lag_and_load():
     """Actuators with different lags and a constant load, without measurement noise, under varying commands."""
     lags, load = np.array([0.15, 0.3, 0.6]), (15.0, 0.0, -6.0)
-    dt, n, steps = 0.1, len(lags), 600
-    reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
-    h, F_u_max, F_r_max = (np.full(n, x) for x in (dt, 400.0, 200.0))
-    p = Parameters.of([np.ones(n)] * PARAMETER_ROWS, Parts())._replace(
-        h=h,
-        coefficients=Coefficients(*(np.full(n, x) for x in PAPER_VEHICLE.coefficients)),
-        response=Response(*np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T),
-        F_u_max=F_u_max,
-        F_r_max=F_r_max,
-        thrust_u=F_u_max,
-        thrust_r=F_r_max,
-    )
-    sample = [
-        np.concatenate((row, (0.0, 0.0), load, np.zeros(6), [1.0, 0.0]))[:, None] * np.ones(n) for row in reference
-    ]
-    plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
-    estimator = ExtendedKalmanFilter(PAPER_VEHICLE, tuning_of(load_gains("ekf", "cruise", EKF_GAINS)))
-    o = Observation(*terms)
-    memory, _ = estimator.update(estimator.start(n), np.array(o))
-    rng = np.random.default_rng(0)
-    for k in range(1, steps + 1):
-        F_u, F_r = tracking_forces(o, PAPER_VEHICLE, FIRM, ARRAYS)
-        action = F_u / 400 + rng.normal(0, 0.1, n), F_r / 200 + rng.normal(0, 0.1, n)
-        plant, terms, _ = step(plant, action, sample[k], p, ARRAYS)
-        o = Observation(*terms)
-        memory, z = estimator.update(memory, np.array(o))
-    z = Estimate(*z)
+    steady = Waves(*(x / np.sqrt(2) for x in load), (0.0,), ((np.pi / 2,),) * 3)  # the crest of a sine that stands
+    scenario = replace(PRESETS["cruise-calm"], path=Circle(1.0, 0.15), waves=RandomWaves(), start=Start(), steps=700)
+    (episode,) = drawn(scenario, 1, 0).episodes
+    episodes = [replace(episode, lag=lag, waves=steady) for lag in lags]
+    _, z, env = filtered(make_policy("ekf"), scenario, 3, 600, episodes, varied=0.1)
+    z = Estimate(*z[:STATE_SIZE])
     np.testing.assert_allclose(z.lag, lags, rtol=0.1)
-    np.testing.assert_allclose(z.F_u, plant[6], atol=3.0)
+    np.testing.assert_allclose(z.F_u, env.force[:, 0], atol=3.0)
     np.testing.assert_allclose(z.X + z.X_wave, load[0], atol=3.0)
     np.testing.assert_allclose(z.N + z.N_wave, load[2], atol=2.0)
 
@@ -273,10 +264,106 @@ def test_known_current_gives_no_error():
     assert errors["water"] < 1.5e-4
 
 
-def test_gains_of_the_observer_place_its_poles():
-    dt = 0.3
-    for drag in (70 / 215, 100 / 265):
-        l1, l2 = sampled_gains(drag, (1.2, 0.4), dt, FLOATS)
-        a = np.exp(-drag * dt)
-        errors = np.array([[a * (1 - l1), -l1], [-a * l2, 1 - l2]])  # of velocity and current, from step to step
-        np.testing.assert_allclose(np.sort(np.linalg.eigvals(errors)), np.exp([-1.2 * dt, -0.4 * dt]))
+# Faults of sensors and actuators.
+
+ACTIONS = [(0.1, -0.1), (0.2, -0.3), (0.4, 0.5), (0.8, 0.7)]
+
+
+def test_the_action_of_a_delayed_period_acts():
+    """For half a period, the mean of two actions."""
+    faults = NO_FAULTS._replace(surge_share=0.5, yaw_share=0.8)
+    for delay, (a_u, a_r) in (*enumerate(ACTIONS), (1.5, (0.3, 0.1))):
+        forces = acting_forces(faults._replace(delay=float(delay)), ACTIONS, (400.0, 200.0), ARRAYS)
+        assert forces == pytest.approx((0.5 * 400 * a_u, 0.8 * 200 * a_r))
+
+
+@pytest.mark.parametrize("delay", range(LONGEST_DELAY + 1))
+def test_the_state_after_the_delay_is_that_of_the_simulation(delay):
+    """Three commands that do not act yet, then zero commands."""
+    weak = Actuators(lag=0.3, effectiveness=0.7, delay=delay)
+    scenario = replace(PRESETS["cruise-calm"], path=Circle(1.0, 0.1), actuators=weak, start=Start(), steps=50)
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+    env.reset(seed=0)
+    for a_u, a_r in reversed(ACTIONS[:3]):
+        env.step(np.array([[a_u, a_r]]))
+    plant, reference = env.state[0], np.ravel(env.reference[:2])
+    z = Estimate(*np.zeros(STATE_SIZE))._replace(
+        x_e=plant[0] - reference[0], y_e=plant[1] - reference[1], psi=plant[2], u=plant[3], v=plant[4], r=plant[5],
+        F_u=env.force[0, 0], F_r=env.force[0, 1], lag=0.3,
+    )  # fmt: skip
+    faults = Faults(0.0, 0.0, 0.0, 0.0, 0.7, 0.7, float(delay))
+    limits, c = (weak.F_u_max, weak.F_r_max), PAPER_VEHICLE.coefficients
+    found = after_delay(z, faults, ACTIONS[:3], limits, 0.1, c, ARRAYS)
+    for _ in range(delay):
+        env.step(np.zeros((1, 2)))
+    x, y, psi, u, v, r = env.state[0]
+    expected = (x - reference[0], y - reference[1], psi, u, v, r)
+    assert found[:6] == pytest.approx(expected, abs=5e-3)  # without delay a thousandth of a period is integrated
+    assert found[6:8] == pytest.approx(env.force[0], abs=0.05)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 3.0])
+def test_delayed_targets_are_on_the_path(delay):
+    dt, speed, turn_rate = 0.1, 1.0, 0.12
+
+    def position(periods):
+        angle = turn_rate * dt * np.asarray(periods, dtype=float)
+        return speed / turn_rate * np.array((np.sin(angle), 1 - np.cos(angle)))
+
+    target = position(ENDS).T[:, :, None]
+    expected = position(np.array(ENDS) + delay).T
+    np.testing.assert_allclose(delayed_targets(target, np.array([delay]))[:, :, 0], expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("speed_range", ["slow", "cruise"])
+def test_the_filter_distinguishes_calm_from_rough_water(speed_range):
+    for case, calm in (("noise", True), ("storm", False)):
+        memory, *_ = filtered(make_policy("ekf"), PRESETS[f"{speed_range}-{case}"], 8, 300)
+        rough_fit, calm_fit = (Belief.of(rows.T).fit[0] for rows in memory[:2])
+        assert ((calm_fit > rough_fit + ODDS) == calm).all()
+
+
+def test_the_filter_estimates_biases_losses_and_delays():
+    """In storms, heading bias to one degree, delay to a fraction of a period."""
+    world = adverse("cruise")
+    biases = {"heading_bias": 0.05, "velocity_bias": -0.05, "yaw_rate_bias": 0.005}
+    steady = replace(world.sensors, **biases, outages=0.0)
+    weak = replace(world.actuators, effectiveness=0.7, reach=1.0, delay=2.0)
+    scenario = replace(world, sensors=steady, actuators=weak)
+    _, z, _ = filtered(make_policy("nmpc-adverse"), scenario, 16, 550)
+    faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
+    assert faults.heading.mean() == pytest.approx(0.05, abs=0.015)
+    assert faults.surge.mean() == pytest.approx(-0.05, abs=0.01)
+    assert faults.sway.mean() == pytest.approx(-0.05, abs=0.01)
+    assert faults.turn.mean() == pytest.approx(0.005, abs=0.001)
+    assert faults.delay.mean() == pytest.approx(2.0, abs=0.3)
+    assert 0.5 < faults.yaw_share.mean() < 0.85
+
+
+def test_a_position_without_a_new_fix_is_not_used():
+    """Without fixes for five seconds the measured position is constant; the filter integrates the velocities."""
+    noisy = PRESETS["cruise-noise"]
+    scenario = replace(noisy, sensors=replace(noisy.sensors, outages=0.01))
+    episodes = [replace(e, outages=((20.0, 25.0),)) for e in drawn(scenario, 8, 0).episodes]
+    memory, _, env = filtered(make_policy("ekf"), scenario, 8, 248, episodes)
+    rough, _ = (Belief.of(rows.T) for rows in memory[:2])
+    assert np.hypot(*(rough.fix.T - position_errors(env)).T).min() > 1.0
+    assert np.hypot(*(rough.state[:2].T - position_errors(env)).T).max() < 0.3
+
+
+def test_a_distant_start_with_any_heading_converges():
+    anywhere = Start(x_e=(-5.0, 5.0), y_e=(-5.0, 5.0), psi_e=(-3.1, 3.1), surge=(0.3, 1.0))
+    for case in ("calm", "storm"):
+        scenario = replace(PRESETS[f"slow-{case}"], start=anywhere)
+        run = rollout(make_policy("ekf"), scenario, drawn(scenario, 40, 0).episodes)
+        assert run.measures.steady_rmse.max() < 0.2
+
+
+@pytest.mark.slow
+def test_estimated_faults_lower_the_error():
+    world = adverse("slow")
+    late = replace(world, actuators=replace(world.actuators, delay=3.0, reach=1.0))
+    episodes = drawn(late, 6, 0).episodes
+    steady_rmses = {name: rollout(make_policy(name), late, episodes).measures.steady_rmse.mean()
+             for name in ("nmpc", "nmpc-adverse")}  # fmt: skip
+    assert steady_rmses["nmpc-adverse"] < 0.5 * steady_rmses["nmpc"]

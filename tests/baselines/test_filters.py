@@ -1,15 +1,20 @@
-"""The filters with fixed gains: their table, their equations against a linear filter, and what they are for."""
+"""Filters: those with fixed gains against linear theory, and the equations of the extended Kalman filter."""
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
 
+from auv_gym.codegen.derivatives import jacobian
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.matrices import symmetric, triangle
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import ARRAYS
-from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import Observation, decode_observation
@@ -17,7 +22,15 @@ from baselines.agents import filters
 from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, MEMORY_ENTRIES, ROWS, SHARED
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import error_dynamics
-from baselines.estimation.sea_model import PLACE, STATE_SIZE
+from baselines.estimation.filter_equations import measured_update, predicted
+from baselines.estimation.sea_model import (
+    PLACE,
+    STATE_SIZE,
+    Estimate,
+    measurement,
+    transition,
+    wave_transition,
+)
 from baselines.evaluation.rollout import make_env
 from research.trainings import filter_gains
 
@@ -129,19 +142,14 @@ def test_small_deviations_follow_the_linear_filter(heading):
     speed, rng = 1.0, np.random.default_rng(0)
     A, H, _ = filter_gains.model(speed, LAGS[0])
     K, z, memory = tabled(0, speed), np.zeros(STATE_SIZE), [np.zeros(1)] * ROWS
-    storm = filter_gains.storm_at(speed)
     F_u = PAPER_VEHICLE.d11 * speed
-    held = F_u / storm.actuators.F_u_max
+    held = F_u / filter_gains.storm_at(speed).actuators.F_u_max
     for k in range(40):
         y = 1e-4 * rng.standard_normal(6)
-        o = straight(speed, heading, y, (held, 0.0))
-        _, memory = filters.filter_step(o, speed, memory, ARRAYS)
+        _, memory = filters.filter_step(straight(speed, heading, y, (held, 0.0)), speed, memory, ARRAYS)
         if k == 0:
-            z[:6] = y
-            memory = list(memory)
-            memory[SHARED + MEMORY_ENTRIES.index("F_u")] = np.array(
-                [F_u]
-            )  # not from rest, which would be no small deviation
+            z[:6], memory = y, list(memory)
+            memory[SHARED + MEMORY_ENTRIES.index("F_u")] = np.array([F_u])  # a start from rest is a large deviation
         else:
             ahead = A @ z
             z = ahead + K @ (y - H @ ahead)
@@ -181,3 +189,123 @@ def test_estimates_are_more_accurate_than_noisy_measurements():
     seen, rough, calm = np.sqrt(np.square(errors[120:]).mean(axis=0))
     assert calm < 0.25 * seen
     assert calm < rough < 0.7 * seen
+
+
+# The extended Kalman filter: derivatives against CasADi, covariances against matrix algebra.
+
+DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+
+
+def random_state(rng, n):
+    """Return states of typical magnitude, in the order of `Estimate`."""
+    size = np.array([1, 1, 3, 1, 0.3, 0.3, 90, 40, 0.3, 0.3, 0.02, 0.02, 20, 20, 8, 0, 20, 20, 20, 20, 8, 8])
+    z = rng.standard_normal((STATE_SIZE, n)) * size[:, None]
+    z[15] = rng.uniform(0.05, 0.8, n)
+    return z
+
+
+TRIANGLE = np.tril_indices(STATE_SIZE)
+
+
+def random_covariance(rng, n):
+    """Return well-conditioned covariances in the units of a state, shape (n, SIZE, SIZE)."""
+    root = rng.normal(size=(n, STATE_SIZE, STATE_SIZE)) + 3 * np.eye(STATE_SIZE)
+    size = np.abs(random_state(rng, 1))[:, 0] + 0.1
+    return root @ root.transpose(0, 2, 1) * size[:, None] * size / 30
+
+
+def full(rows):
+    """Return the matrices (n, SIZE, SIZE) of lower triangles (SIZE (SIZE + 1) / 2, n)."""
+    return np.array(symmetric(list(rows))).transpose(2, 0, 1)
+
+
+def observed(rng, n):
+    """Return observations with random values of the terms that `transition` depends on, shape (18, n)."""
+    values = dict.fromkeys(Observation._fields, np.zeros(n))
+    values |= {"a_u": rng.uniform(-0.5, 0.5, n), "a_r": rng.uniform(-0.5, 0.5, n), "dt": np.linspace(0.05, 0.3, n)}
+    return np.array(Observation(**values | {"F_u_max": np.full(n, 400.0), "F_r_max": np.full(n, 200.0)}))
+
+
+def kernel_jacobians(z, o, vehicle):
+    """Return the symbolic Jacobians of `transition` and of `measurement`, (n, ..., SIZE)."""
+
+    def equation(z, o):
+        z, o = Estimate(*z), Observation(*o)
+        command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
+        after = transition(z, command, (0.1, 0.05), o.dt, vehicle.coefficients, SYMBOLS)
+        entries = [x for outputs in (after, measurement(z, SYMBOLS)) for row in jacobian(outputs, z) for x in row]
+        return {"entries": entries}
+
+    entries = Kernel.traced(equation, {"z": STATE_SIZE, "o": len(o)}, structural=True, blocked=True)(z=z, o=o)[
+        "entries"
+    ]
+    entries = entries.T.reshape(z.shape[1], -1, STATE_SIZE)
+    return entries[:, :STATE_SIZE], entries[:, STATE_SIZE:]
+
+
+def moved(z, o, vehicle):
+    o = Observation(*o)
+    command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
+    return np.array(transition(Estimate(*z), command, (0.1, 0.05), o.dt, vehicle.coefficients, ARRAYS))
+
+
+@pytest.mark.parametrize(("vehicle", "lag"), [(PAPER_VEHICLE, 2e-3), (DRAGGY, None)])
+def test_jacobians_are_those_of_casadi(vehicle, lag):
+    casadi = pytest.importorskip("casadi")
+    rng = np.random.default_rng(2)
+    z, o = random_state(rng, 3), observed(rng, 3)
+    z[15] = lag or z[15]
+    x, terms = casadi.SX.sym("x", STATE_SIZE), casadi.SX.sym("o", len(o))
+    state, observation = Estimate(*casadi.vertsplit(x)), Observation(*casadi.vertsplit(terms))
+    ns = SimpleNamespace(sin=casadi.sin, cos=casadi.cos, exp=casadi.exp, clip=lambda x, low, high: x)
+    command = observation.a_u * observation.F_u_max, observation.a_r * observation.F_r_max
+    after = casadi.vertcat(*transition(state, command, (0.1, 0.05), observation.dt, vehicle.coefficients, ns))
+    measured = casadi.vertcat(*measurement(state, ns))
+    slopes = casadi.Function("slopes", [x, terms], [casadi.jacobian(after, x), casadi.jacobian(measured, x)])
+    for i, jacobians in enumerate(zip(*kernel_jacobians(z, o, vehicle), strict=True)):
+        for mine, theirs in zip(jacobians, slopes(z[:, i], o[:, i]), strict=True):
+            np.testing.assert_allclose(mine, np.array(theirs), rtol=1e-10, atol=1e-12)
+
+
+def test_covariance_is_propagated_by_the_jacobian():
+    rng = np.random.default_rng(3)
+    z, o, P = random_state(rng, 3), observed(rng, 3), random_covariance(rng, 3)
+
+    def equation(z, o, P):
+        z, P = predicted(z, symmetric(P), [], (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
+        return {"z": z, "P": triangle(P)}
+
+    rows = {"z": STATE_SIZE, "o": len(o), "P": len(TRIANGLE[0])}
+    after = Kernel.traced(equation, rows, structural=True, blocked=True)(z=z, o=o, P=P[:, TRIANGLE[0], TRIANGLE[1]].T)
+    F, _ = kernel_jacobians(z, o, DRAGGY)
+    np.testing.assert_allclose(full(after["P"]), F @ P @ F.transpose(0, 2, 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(after["z"], moved(z, o, DRAGGY), rtol=1e-12, atol=1e-12)
+
+
+def test_sequential_updates_equal_the_joint_update():
+    rng = np.random.default_rng(4)
+    z, P = random_state(rng, 3), random_covariance(rng, 3)
+    innovation, noise = rng.normal(0, 0.1, (6, 3)), rng.uniform(1e-4, 1e-1, (6, 3))
+
+    def equation(z, P, innovation, noise):
+        z, P, _ = measured_update(z, symmetric(P), innovation, noise, False)
+        return {"z": z, "P": triangle(P)}
+
+    rows = {"z": STATE_SIZE, "P": len(TRIANGLE[0]), "innovation": 6, "noise": 6}
+    kernel = Kernel.traced(equation, rows, structural=True, blocked=True)
+    after = kernel(z=z, P=P[:, TRIANGLE[0], TRIANGLE[1]].T, innovation=innovation, noise=noise)
+    _, H = kernel_jacobians(z, observed(rng, 3), PAPER_VEHICLE)
+    gain = P @ H.transpose(0, 2, 1) @ np.linalg.inv(H @ P @ H.transpose(0, 2, 1) + noise.T[:, :, None] * np.eye(6))
+    expected = z + np.einsum("nij,jn->in", gain, innovation)
+    expected[15] = np.clip(expected[15], 1e-3, 2.0)
+    np.testing.assert_allclose(after["z"], expected, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(full(after["P"]), P - gain @ H @ P, rtol=1e-6, atol=1e-8)
+
+
+def test_wave_oscillator():
+    A, twice = (np.array(wave_transition(dt, FLOATS)) for dt in (0.3, 0.6))
+    np.testing.assert_allclose(A @ A, twice, atol=1e-14)
+    covariance = np.zeros((2, 2))
+    for _ in range(400):
+        covariance = A @ covariance @ A.T + np.eye(2) - A @ A.T
+    np.testing.assert_allclose(covariance, np.eye(2), atol=1e-6)

@@ -1,13 +1,11 @@
 """Gains: forces for a fixed sequence of observations, their change with 5 % of any gain, gains of other vehicles."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from auv_gym.physics.namespaces import ARRAYS
-from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import SPEED_RANGES, as_scenario
 from auv_gym.scenarios.scenario import Scenario
@@ -17,10 +15,9 @@ from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
 from baselines.control.los_pid import PIDGains
 from baselines.control.nmpc.controller import PREVIEW
-from baselines.control.privileged.oracle import REGULATORS, regulator
 from baselines.gains import loading
-from baselines.gains.loading import RATIOS, gain_file, vehicle_ratios
-from baselines.tuning.tunables import TUNABLES
+from baselines.gains.loading import RATIOS, recorded_gains, vehicle_ratios
+from baselines.tuning.objective import TUNABLES
 
 U, DT = np.array([0.2, 1.0]), np.array([0.2, 0.1])
 """Reference speed [m/s] and control period [s] of two vehicles, one in each speed range."""
@@ -69,7 +66,7 @@ def forces_over_time(controller):
 
 def recorded(name):
     """Return the gains of a controller's files, by speed range."""
-    return {speed_range: json.loads(gain_file(name, speed_range).read_text())["gains"] for speed_range in SPEED_RANGES}
+    return {speed_range: recorded_gains()["tuned"][name][speed_range]["gains"] for speed_range in SPEED_RANGES}
 
 
 LAWS = {
@@ -80,25 +77,15 @@ LAWS = {
     "normalised": ((8.11762147, -16.3472311), (40.1745077, -11.6975119)),
 }
 CONTROLLERS = {
-    "integral": ((34.2852504, 27.6617898), (97.2763391, -9.19817047)),
     "integral-normalised": ((28.8032535, 27.2706414), (89.8571761, -9.86920951)),
     "los-pid": ((6.84980568, 69.2784002), (236.958631, -757.978788)),
     "lqi": ((94.7387984, 205.847389), (10.5384346, -264.394674)),
-    "current-observer": ((176.491164, 292.790349), (545.71833, -105.026066)),
     "ilos": ((14.7576427, 151.612861), (328.930552, -412.676658)),
-    "adaptive": ((303.375077, 424.889915), (684.933106, -123.289311)),
-    "smc-dob": ((-21.0270076, 133.38075), (96.0920115, -97.7371347)),
     "ekf": ((-24.2841777, 195.951854), (1202.27499, -287.883718)),
-    "ekf-adverse": ((116.947277, 444.535306), (5044.6561, 1686.13231)),
     "nmpc": ((-40.6236666, 50), (42.7050006, -200)),
     "nmpc-adverse": ((-45.2292372, 50), (-135.982689, 200)),
 }
 """F_u [N], F_r [N m] of the slow and of the fast vehicle."""
-REGULATED = {
-    "slow": ((-500, 0, 0), (0, -250, -175.957157)),
-    "cruise": ((-222.222222, 0, 0), (0, -100, -299.680164)),
-}
-"""Gains of the oracle's regulator from e_x, e_y, psi_e to F_u and F_r, at 0.2 and 1 m/s."""
 TOLERANCE = {"nmpc": 2e-5}
 """Relative tolerance, 1e-6 for all others. The number of a solver's steps can differ between machines."""
 
@@ -137,12 +124,6 @@ def test_every_gain_of_the_files_has_an_effect(name):
             assert changed or key == "calm", (speed_range, key)
 
 
-@pytest.mark.parametrize(("speed_range", "speed"), [("slow", 0.2), ("cruise", 1.0)])
-def test_weights_of_the_oracle(speed_range, speed):
-    found = regulator(PAPER_VEHICLE, speed, REGULATORS[speed_range], Units())[:, :3]
-    np.testing.assert_allclose(found, REGULATED[speed_range], rtol=1e-6, atol=1e-9)
-
-
 def test_the_ratios_of_a_vehicle_are_bounded_and_zero_for_the_papers_vehicle():
     assert vehicle_ratios(PAPER) == [0.0] * 2 * len(RATIOS)
     actuators = replace(PAPER.actuators, F_u_max=800.0, fin=20.0)  # full fins give 20 * 1.5^2 = 45 N m
@@ -154,7 +135,8 @@ def test_the_ratios_of_a_vehicle_are_bounded_and_zero_for_the_papers_vehicle():
 
 def test_gains_follow_the_ratios_at_cruise_if_the_actuators_are_known(monkeypatch):
     entry = {"heading": [0.5, 1.0, *[0.0] * 10], "turn": [0.0] * 8 + [-2.0, 0.0, 0.0, 0.0]}
-    monkeypatch.setattr(loading, "_exponents", lambda: {"los-pid": entry})
+    record = recorded_gains() | {"exponents": {"los-pid": {"exponents": entry}}}
+    monkeypatch.setattr(loading, "recorded_gains", lambda: record)
     plain = loading.load_gains("los-pid", "cruise", PIDGains._fields)
     stronger = replace(PAPER, actuators=replace(PAPER.actuators, F_u_max=1600.0, F_r_max=300.0), lag=0.1)
     adapted = loading.adapted_gains("los-pid", "cruise", PIDGains._fields, stronger)
@@ -167,7 +149,8 @@ def test_gains_follow_the_ratios_at_cruise_if_the_actuators_are_known(monkeypatc
 
 
 def test_every_exponent_is_of_a_gain():
-    for name, entry in loading._exponents().items():
+    for name, record in recorded_gains()["exponents"].items():
+        entry = record["exponents"]
         assert tuple(entry) == tuple(TUNABLES[name].names)
         assert {len(powers) for powers in entry.values()} == {2 * len(RATIOS)}
 

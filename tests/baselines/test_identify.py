@@ -1,6 +1,5 @@
 """Identification: a plant with equations of its own, what a log does not show, wrong input, figures, the command."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -9,7 +8,10 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.stats import kstest
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.sensors import Sensors
@@ -17,31 +19,24 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import in_vehicle_units
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
-from baselines.identification import Log, command, files, fit, identify
+from baselines.identification import Log, command, files, identify
 from baselines.identification.command import PROGRAM, main
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
 from baselines.identification.least_squares import Residuals
-from baselines.identification.log import LOG_COLUMNS, joined
-from baselines.identification.manoeuvres import Approach, characteristics
-from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel
+from baselines.identification.linear_fit import regressors
+from baselines.identification.log import joined
+from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel, WindDrag, wind_load
+from baselines.identification.prediction import constant_velocity, nomoto
 from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
-from baselines.identification.uncertainty import covariance
+from baselines.identification.uncertainty import covariance, whiteness
 from baselines.tools.command_line import run
-from research.vehicles import coverage
 
 ROOT = Path(__file__).parents[2]
 NOISE = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)
 HULL_TRUE = {"m11": 180.0, "m22": 260.0, "m33": 95.0, "d11": 45.0, "d22": 120.0, "d33": 60.0}
 DRAG_TRUE = {"X_uu": 25.0, "Y_vv": 90.0, "N_rr": 30.0}
 LAG, LIMITS = 0.3, (380.0, 190.0)
-TRUE = {
-    **dict.fromkeys(COEFFICIENTS, 0.0),
-    **HULL_TRUE,
-    **DRAG_TRUE,
-    "F_u_max": 380.0,
-    "F_r_max": 190.0,
-    "lag": LAG,
-}
+TRUE = dict.fromkeys(COEFFICIENTS, 0.0) | HULL_TRUE | DRAG_TRUE | {"F_u_max": 380.0, "F_r_max": 190.0, "lag": LAG}
 TRUE |= dict(zip(("V_x", "V_y"), EXAMPLE_CURRENT, strict=True))
 
 
@@ -80,7 +75,7 @@ def log():
 
 
 @pytest.fixture(scope="module")
-def found(log):
+def fitted(log):
     return identify(log)
 
 
@@ -103,18 +98,18 @@ def ahead(straight):
     return identify(straight)
 
 
-def test_a_minute_of_noise_shows_every_parameter_of_an_independent_plant(found):
-    assert not found.misfit
-    shown = [e for e in found.estimates if e.verdict != LEFT_OUT]
-    assert [e.name for e in found.estimates if e not in shown] == list(CROSS_TERMS)
+def test_a_minute_of_noise_shows_every_parameter_of_an_independent_plant(fitted):
+    assert not fitted.misfit
+    shown = [e for e in fitted.estimates if e.verdict != LEFT_OUT]
+    assert [e.name for e in fitted.estimates if e not in shown] == list(CROSS_TERMS)
     for e in shown:
         near = abs(e.value - TRUE[e.name]) <= 0.05 * abs(TRUE[e.name])
         assert near or e.low <= TRUE[e.name] <= e.high, e
         assert e.verdict == IDENTIFIED or (e.verdict == ZERO and TRUE[e.name] == 0), e
     inside = [e.low <= TRUE[e.name] <= e.high for e in shown]
     assert sum(inside) >= len(inside) - 3
-    np.testing.assert_allclose(found.noise, NOISE.noise, rtol=0.15)
-    assert found["m11"].high - found["m11"].low < 0.1 * TRUE["m11"]
+    np.testing.assert_allclose(fitted.noise, NOISE.noise, rtol=0.15)
+    assert fitted["m11"].high - fitted["m11"].low < 0.1 * TRUE["m11"]
 
 
 def test_derivatives_are_those_of_the_prediction(log):
@@ -138,37 +133,70 @@ def test_derivatives_are_those_of_the_prediction(log):
 
 @pytest.mark.slow
 def test_what_a_straight_run_does_not_show_has_no_number(ahead):
-    found = ahead
-    assert found["m11"].verdict == found["d11"].verdict == IDENTIFIED
-    assert found["m11"].low <= 215 <= found["m11"].high
-    assert found["d11"].low <= 70 <= found["d11"].high
-    assert {"m33", "d33"} <= set(found.unknown)
-    assert math.isnan(found["m33"].value)
-    assert found["F_u_max"].verdict == UNREACHED
-    assert found["F_u_max"].low <= 80 < found["F_u_max"].high == math.inf
-    assert characteristics(found, Approach(1.0, 10.0)) == ()
+    fitted = ahead
+    assert fitted["m11"].verdict == fitted["d11"].verdict == IDENTIFIED
+    assert fitted["m11"].low <= 215 <= fitted["m11"].high
+    assert fitted["d11"].low <= 70 <= fitted["d11"].high
+    assert {"m33", "d33"} <= set(fitted.unknown)
+    assert math.isnan(fitted["m33"].value)
+    assert fitted["F_u_max"].verdict == UNREACHED
+    assert fitted["F_u_max"].low <= 80 < fitted["F_u_max"].high == math.inf
     with pytest.raises(ValueError, match=r"the log does not show .*; a zig-zag or a turning circle under way would"):
-        found.vehicle()
-    filled = found.vehicle(PAPER_VEHICLE)
-    assert (filled.m33, filled.m11) == (80.0, pytest.approx(found["m11"].value))
-
-
-def test_terms_are_chosen_and_checked(log):
-    with pytest.raises(
-        ValueError, match="'m11' is not an optional parameter of a vehicle; allowed are X_uu, Y_vv, N_rr"
-    ):
-        identify(log, ("m11",))
+        fitted.vehicle()
+    filled = fitted.vehicle(PAPER_VEHICLE)
+    assert (filled.m33, filled.m11) == (80.0, pytest.approx(fitted["m11"].value))
 
 
 @pytest.mark.slow
 def test_the_vehicle_file_of_the_tutorial_is_that_of_the_command():
     tutorials = ROOT / "docs" / "tutorials"
-    found = identify(Log.load(tutorials / "otter.csv"), ("X_uu", "Y_vv", "N_rr"))
-    written = files.vehicle_text(found, found.vehicle(), "otter.csv").splitlines()
+    fitted = identify(Log.load(tutorials / "otter.csv"), ("X_uu", "Y_vv", "N_rr"))
+    written = files.vehicle_text(fitted, fitted.vehicle(), files.limits_of(fitted), "otter.csv").splitlines()
     page = (tutorials / "log-to-agent.md").read_text(encoding="utf-8")
     shown = re.findall(r"^\w+ = \S+  # \[.*\.\.\..*$", page, re.MULTILINE)
     assert len(shown) == 10
     assert set(shown) <= set(written)
+
+
+def test_white_residuals_are_told_from_correlated_ones():
+    """The p-value is uniform for white noise, and small for errors that last for two rows."""
+    rng, starts = np.random.default_rng(2), np.array([0, 250, 500, 750])
+    p_values = [whiteness(rng.standard_normal((1000, 6)), starts) for _ in range(200)]
+    assert kstest(p_values, "uniform").pvalue > 0.01
+    noise = rng.standard_normal((1001, 6))
+    assert whiteness(noise[1:] + noise[:-1], starts) < 1e-10
+
+
+def test_forces_per_coefficient_add_up_to_the_equations_of_motion():
+    """Linear in the coefficients: by hand for a vehicle with quadratic drag, at the accelerations of a known force."""
+    u, v, r, X, N = np.random.default_rng(3).standard_normal((5, 50))
+    p = {**HULL_TRUE, **DRAG_TRUE}
+    accelerations = np.array([
+        (X + p["m22"] * v * r - (p["d11"] + p["X_uu"] * abs(u)) * u) / p["m11"],
+        (-p["m11"] * u * r - (p["d22"] + p["Y_vv"] * abs(v)) * v) / p["m22"],
+        (N + (p["m11"] - p["m22"]) * u * v - (p["d33"] + p["N_rr"] * abs(r)) * r) / p["m33"],
+    ])  # fmt: skip
+    terms = regressors(np.array([u, v, r]), accelerations)
+    forces = np.einsum("eht,h->et", terms, [TRUE[name] for name in COEFFICIENTS])
+    np.testing.assert_allclose(forces, [X, 0 * X, N], atol=1e-9)
+
+
+def test_simple_predictions_are_exact_for_a_vehicle_that_obeys_them():
+    """A steady turn for constant velocities; a yaw rate that follows its command with a lag for Nomoto's model."""
+    t, dt, starts = np.arange(0.0, 30.0, 0.01), 0.01, np.array([0])
+    command = np.where((t < 10) | (t % 6 < 3), 1.0, -0.5)
+    r = np.full(len(t), 0.08)
+    for k in range(len(t) - 1):
+        r[k + 1] = r[k] + dt / 2.0 * (0.1 * (command[k] - 0.2) - r[k])  # T = 2 s, K = 0.1 1/s, neutral = 0.2
+
+    def log_of(r):
+        psi = np.concatenate(([0.0], np.cumsum(dt * 0.5 * (r[1:] + r[:-1]))))
+        x, y = (np.concatenate(([0.0], np.cumsum(dt * side(psi[1:])))) for side in (np.cos, np.sin))
+        return Log(t, np.column_stack((x, y, psi, np.ones(len(t)), 0 * t, r)), np.column_stack((command, command)))
+
+    turning, steady = log_of(r), log_of(0 * r + 0.1)
+    np.testing.assert_allclose(nomoto(turning, turning, starts, 10.0), turning.measured, atol=1e-9)
+    np.testing.assert_allclose(constant_velocity(steady, starts, 10.0), steady.measured, atol=1e-9)
 
 
 def test_related_residuals_widen_the_intervals():
@@ -180,44 +208,28 @@ def test_related_residuals_widen_the_intervals():
     for k in range(1, T):
         errors[:, k] = rho * errors[:, k - 1] + math.sqrt(1 - rho**2) * rng.standard_normal(400)
     estimates = errors @ slopes[:, 3, 0] / (slopes[:, 3, 0] @ slopes[:, 3, 0])
-    own = np.zeros((T, 6))
-    own[:, 3] = errors[0]
-    spread = covariance(Residuals(np.zeros((1, 6)), own, slopes), np.array([0]))[0, 0]
+    residuals = np.zeros((T, 6))
+    residuals[:, 3] = errors[0]
+    spread = covariance(Residuals(np.zeros((1, 6)), residuals, slopes), np.array([0]))[0, 0]
     assert spread == pytest.approx(estimates.var(), rel=0.4)
     assert spread > 3 / (slopes[:, 3, 0] @ slopes[:, 3, 0])
 
 
-def test_turning_circle_is_that_of_another_integrator(found):
-    begin, p = Approach(0.6, 25.0), {name: found[name].value for name in COEFFICIENTS}
-    thrust = (p["d11"] + p["X_uu"] * begin.speed) * begin.speed
+DRAG = WindDrag(0.08, 0.2, 0.05, 0.1)
 
-    def slope(t, z):
-        _, _, psi, u, v, r = z
-        N = begin.order * -math.expm1(-t / found["lag"].value)
-        return [
-            u * math.cos(psi) - v * math.sin(psi),
-            u * math.sin(psi) + v * math.cos(psi),
-            r,
-            (thrust + p["m22"] * v * r - (p["d11"] + p["X_uu"] * abs(u)) * u) / p["m11"],
-            (-p["m11"] * u * r - (p["d22"] + p["Y_vv"] * abs(v)) * v) / p["m22"],
-            (N + (p["m11"] - p["m22"]) * u * v - (p["d33"] + p["N_rr"] * abs(r)) * r) / p["m33"],
-        ]
 
-    events = [lambda t, z, a=a: z[2] - a for a in (math.pi / 2, math.pi)]
-    done = solve_ivp(slope, (0, 60), [0, 0, 0, begin.speed, 0, 0], "DOP853", rtol=1e-9, atol=1e-9, events=events)
-    quarter, half = (z[0] for z in done.y_events)
-    known = {c.name: c for c in characteristics(found, begin)}
-    assert known["advance"].value == pytest.approx(quarter[0], rel=0.03)
-    assert known["transfer"].value == pytest.approx(quarter[1], rel=0.05)
-    assert known["tactical diameter"].value == pytest.approx(half[1], rel=0.03)
-    for c in known.values():
-        assert c.low <= c.value <= c.high
-    assert known["second overshoot, zig-zag at 10 degrees"].value > 0
+@given(st.floats(0.1, 20.0), st.floats(-math.pi, math.pi))
+def test_wind_goes_with_its_angle_as_fossen_has_it(speed, angle):
+    X, Y, N = wind_load(speed * math.cos(angle), speed * math.sin(angle), DRAG)
+    assert -X == pytest.approx(DRAG.X_air * speed**2 * math.cos(angle), abs=1e-6)
+    assert -Y == pytest.approx(DRAG.Y_air * speed**2 * math.sin(angle), abs=1e-6)
+    turn = DRAG.N_air * math.sin(angle) + 0.5 * DRAG.N_turn * math.sin(2 * angle)
+    assert -N == pytest.approx(speed**2 * turn, abs=1e-6)
 
 
 def columns(log, **changes):
     """Return a log's columns by name, some of them replaced by functions of themselves."""
-    table = dict(zip(LOG_COLUMNS, log.table.T, strict=True))
+    table = dict(zip(log.columns, log.table.T, strict=True))
     return table | {name: change(table[name]) for name, change in changes.items()}
 
 
@@ -232,7 +244,6 @@ def columns(log, **changes):
         ({"t": lambda t: t[::-1]}, r"t goes from 60 to 59.9 s in data row 2; time must increase"),
         ({"x": lambda x: np.where(np.arange(len(x)) == 4, np.nan, x)}, "x in data row 5 is nan; every entry must be"),
         ({"F_u": lambda F: 0 * F, "F_r": lambda F: 0 * F}, "is 0 throughout"),
-        ({"F_u": lambda F: 1e-200 * F, "F_r": lambda F: 1e-200 * F}, "throughout"),
         ({"y": lambda y: 1e200 * y}, "y in data row 1 is .*; every entry must be a number of at most 1e.12"),
         ({name: lambda w: 1e-20 * w for name in ("x", "y", "u", "v", "r")}, "the vehicle must move"),
         ({"F_r": lambda F: 0 * F}, "F_r is 0 throughout, but the vehicle turns"),
@@ -245,33 +256,28 @@ def test_a_log_that_cannot_be_is_refused(log, changes, says):
         Log(table[:, 0], table[:, 1:7], table[:, 7:])
 
 
-def test_a_log_of_wrong_shapes_is_refused(log):
-    for rows, wind, says in (
-        (log.measured[:, :5], None, r"measured of shape \(\d+, 5\); it must be \(\d+, 6\)"),
-        (log.measured, log.measured[1:, :2], r"wind of shape \(\d+, 2\); it must be \(\d+, 2\)"),
+def test_logs_of_wrong_shapes_and_axes_and_short_ones_are_refused(log):
+    swapped, wind = log.measured[:, [1, 0, 2, 3, 4, 5]], log.measured[1:, :2]
+    for columns, says in (
+        ((log.t, log.measured[:, :5], log.commands), r"measured of shape \(\d+, 5\); it must be \(\d+, 6\)"),
+        ((log.t, log.measured, log.commands, "force", wind), r"wind of shape \(\d+, 2\); it must be \(\d+, 2\)"),
+        ((log.t, swapped, log.commands), "x and y look interchanged"),
+        ((log.t[:40], log.measured[:40], log.commands[:40]), "the log has 40 rows; it must have 50 to"),
     ):
         with pytest.raises(ValueError, match=says):
-            Log(log.t, rows, log.commands, wind=wind)
+            Log(*columns)
     with pytest.raises(ValueError, match="there is no log"):
         joined([])
-
-
-def test_interchanged_axes_and_short_logs_are_refused(log):
-    swapped = log.measured[:, [1, 0, 2, 3, 4, 5]]
-    with pytest.raises(ValueError, match="x and y look interchanged"):
-        Log(log.t, swapped, log.commands)
-    with pytest.raises(ValueError, match="the log has 40 rows; it must have 50 to"):
-        Log(log.t[:40], log.measured[:40], log.commands[:40])
+    with pytest.raises(ValueError, match="'m11' is not an optional parameter of a vehicle; allowed are X_uu"):
+        identify(log, ("m11",))
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("", "there is no column 't'; the first line must name t [s], x [m]"),
-        ("t,x,y,psi,u,v,r,F_u\n", "there is no column 'F_r'"),
         ("t,x,y,psi [deg],u,v,r,F_u,F_r\n", "psi is in [deg]; it must be in [rad]"),
         ("t,x,y,psi,u,v,r,F_u,F_r\n0,0,0,east,0,0,0,0,0\n", "psi in data row 1 is 'east'; it must be a number"),
-        ("t,x,y,psi,u,v,r,F_u,F_r\n0,0\n", "y in data row 1 is ''; it must be a number"),
     ],
 )
 def test_a_wrong_file_is_one_line(text, says, tmp_path, monkeypatch, capsys):
@@ -287,11 +293,8 @@ def test_a_wrong_file_is_one_line(text, says, tmp_path, monkeypatch, capsys):
     ("words", "says"),
     [
         ([], "no LOG is given"),
-        (["--holdout", "log.csv"], "no LOG is given"),
         (["log.csv", "--example"], "log.csv exists; --example does not replace a log"),
         (["log.csv", "--known", "m11=-5"], "--known m11=-5 must be NAME=VALUE"),
-        (["log.csv", "--known", "V_x=nan"], "--known V_x=nan must be NAME=VALUE"),
-        (["log.csv", "--known", "m11=1", "m11=2"], "once for each name"),
         (["log.csv", "--known", "V_x=0.5", "--still-water"], "--still-water excludes --known V_x"),
         (["log.csv", "--out", "log.csv"], "--out log.csv is not a folder"),
     ],
@@ -322,8 +325,8 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert scenario.vehicle.m22 == pytest.approx(vehicle.m22, rel=1e-5)
     assert scenario.actuators.lag == pytest.approx(0.4, abs=0.05)
     text = Path("out/report.md").read_text(encoding="utf-8")
-    for said in ("tactical diameter", "second overshoot, zig-zag at 20 degrees", "fit.png", "| m11 "):
-        assert said in text
+    assert "fit.png" in text
+    assert "| m11 " in text
     assert run(main, PROGRAM, ["new.csv", "--example", "--seed", "1"]) == 0
     assert run(main, PROGRAM, ["log.csv", "--terms", "X_uu", "--holdout", "new.csv", "--out", "out"]) == 0
     text = Path("out/report.md").read_text(encoding="utf-8")
@@ -334,39 +337,32 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert "unknown vehicle 'canoe'" in capsys.readouterr().err
 
 
-def test_the_ensemble_has_the_distribution_of_the_fit(found):
-    several = found.ensemble(400, seed=1)
-    shown = [name for name in found.free if name in COEFFICIENTS]
-    at = [found.free.index(name) for name in shown]
-    spread = np.sqrt(np.diag(found.covariance))[at]
+def test_the_ensemble_has_the_distribution_of_the_fit(fitted):
+    several = fitted.ensemble(400, seed=1)
+    shown = [name for name in fitted.free if name in COEFFICIENTS]
+    at = [fitted.free.index(name) for name in shown]
+    spread = np.sqrt(np.diag(fitted.covariance))[at]
     drawn = np.array([[getattr(v, name) for name in shown] for v in several])
-    means = np.array([found[name].value for name in shown])
+    means = np.array([fitted[name].value for name in shown])
     assert (np.abs(drawn.mean(axis=0) - means) < 4 * spread / 20).all()
     np.testing.assert_allclose(drawn.std(axis=0), spread, rtol=0.2)
 
 
-def test_episodes_of_an_ensemble_have_its_vehicles(found):
-    """In one and in many environments, and in the units of the vehicle."""
-    several = found.ensemble(3)
-    scenario = files.scenario(found, found.vehicle(), ensemble=several)
+def test_episodes_of_an_ensemble_have_its_vehicles(fitted):
+    """Also in the units of the vehicle."""
+    several = fitted.ensemble(3)
+    scenario = files.scenario(fitted, fitted.vehicle(), files.limits_of(fitted), several)
     assert Scenario.from_dict(scenario.to_dict()) == scenario
-    many = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 8, "vector_entry_point", scenario=scenario)
-    seen, _ = many.reset(seed=0)
-    true = set()
-    for i in range(8):
-        one = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario)
-        np.testing.assert_array_equal(one.reset(seed=i)[0], seen[i])
-        action = np.array([0.3, 0.1], dtype=np.float32)
-        np.testing.assert_array_equal(one.step(action)[0], many.step(np.tile(action, (8, 1)))[0][i])
-        many.reset(seed=0)
-        true.add(tuple(one.unwrapped._parameters.coefficients))
+    env, true = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario), set()
+    for seed in range(8):
+        env.reset(seed=seed)
+        true.add(tuple(env.unwrapped._truth()[2].coefficients))
     assert true <= {tuple(v.all_coefficients) for v in several}
     assert len(true) > 1
-    similar = in_vehicle_units(scenario)
-    for row, own in zip(similar.mismatch.vehicles, several, strict=True):
-        ratio, known = own.m22 / own.m11, row[1] / row[0]
-        assert known == pytest.approx(ratio)
-        assert row[3] / row[0] * PAPER_VEHICLE.time == pytest.approx(own.d11 / own.m11 * found.vehicle().time)
+    for row, vehicle in zip(in_vehicle_units(scenario).mismatch.vehicles, several, strict=True):
+        assert row[1] / row[0] == pytest.approx(vehicle.m22 / vehicle.m11)
+        drag = vehicle.d11 / vehicle.m11 * fitted.vehicle().time
+        assert row[3] / row[0] * PAPER_VEHICLE.time == pytest.approx(drag)
     with pytest.raises(ValueError, match=r"mismatch vehicles has a row of 2 numbers; for this vehicle it must have 13"):
         replace(scenario, mismatch=replace(scenario.mismatch, vehicles=((1.0, 2.0),)))
 
@@ -379,7 +375,7 @@ def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp
     assert run(main, PROGRAM, ["log.csv", "--out", "out"]) == 1
     assert "no vehicle.toml: the log does not show" in capsys.readouterr().out
     assert {p.name for p in Path("out").iterdir()} == {"report.md", "fit.png", "residuals.png"}
-    assert "None: the log does not show" in Path("out/report.md").read_text(encoding="utf-8")
+    assert "No vehicle.toml: the log does not show" in Path("out/report.md").read_text(encoding="utf-8")
     assert run(main, PROGRAM, ["log.csv", "--like", "paper", "--out", "out"]) == 0
     assert "m33 = 80.0  # [kg m^2] not from the log" in Path("out/vehicle.toml").read_text(encoding="utf-8")
 
@@ -392,34 +388,6 @@ def test_speeds_through_the_water_serve_too():
     measured = log.measured.copy()
     measured[:, 3] -= c * V_x + s * V_y
     measured[:, 4] -= c * V_y - s * V_x
-    found = identify(replace(log, measured=measured), (), over_ground=False)
-    assert found["V_x"].value == pytest.approx(V_x, abs=0.01)
-    assert found["m22"].value == pytest.approx(265, rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_term_without_which_the_prediction_diverges_stays(log, monkeypatch):
-    refit = fit._BackwardElimination._refit
-
-    def picky(search):
-        if "N_uv" not in search.free:
-            raise ValueError("the simulator diverges")
-        refit(search)
-
-    monkeypatch.setattr(fit._BackwardElimination, "_refit", picky)
-    found = identify(log, (*DRAG_TRUE, "N_uv"))
-    assert "N_uv" in found.free
-    assert found["N_uv"].low < 0 < found["N_uv"].high
-    assert found["m22"].value == pytest.approx(TRUE["m22"], rel=0.02)
-
-
-@pytest.mark.slow
-def test_coverage_counts(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(coverage, "_VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})
-    assert run(coverage.main, coverage.PROGRAM, ["--logs", "1", "--out", "new.json"]) == 0
-    records = json.loads(Path("new.json").read_text(encoding="utf-8"))
-    record = records["the paper's vehicle"]
-    assert sum(row["near"] for row in record["parameters"].values()) >= len(record["parameters"]) - 1
-    assert record["parameters"].keys() | set(CROSS_TERMS) == set(FITTED_PARAMETERS)
-    assert [own["misfit"] for own in records.values()] == [0, 1, 1]
+    fitted = identify(replace(log, measured=measured), (), over_ground=False)
+    assert fitted["V_x"].value == pytest.approx(V_x, abs=0.01)
+    assert fitted["m22"].value == pytest.approx(265, rel=0.02)

@@ -1,6 +1,5 @@
 """train.py --from and --vehicle: where a training begins, in whose units it takes place, and what contradicts it."""
 
-import json
 import re
 import shutil
 import sys
@@ -9,31 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 import torch
-import yaml
 
 from auv_gym.physics.units import Units
-from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import vehicle_model
 from baselines import make_policy
 from baselines.agents.agent import Agent
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
-from baselines.training.apg.groups import Groups
-from baselines.training.apg.settings import Settings, check
-from baselines.training.apg.torch_network import weights_of
+from baselines.training.apg.network import weights_of
+from baselines.training.apg.settings import Settings
 from baselines.training.apg.trainer import ApgTrainer
-from baselines.training.entry import main
-from baselines.training.hyperparameters import FINE_TUNING_FILE_NAME, TRAINED_ENV, load_hyperparameters, shipped
+from baselines.training.command import FINE_TUNING_METHOD, PROGRAM, main, read_hyperparameters, shipped
 from baselines.training.initial_agent import OF_AGENT, fitted, in_own_units
-from baselines.training.options import PROGRAM
-from baselines.training.run_folder import RunFolder, read_config, read_progress
-from research.trainings import fine_tuning
+from baselines.training.run_folder import RunFolder, read_config
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.slow  # nearly all use agents that are trained for them
@@ -53,11 +46,8 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trained")
     SMALL.save(folder / "small.toml")
     SLOW.save(folder / "slow.toml")
-    tables = {
-        TRAINED_ENV: {**TINY, "n_timesteps": STEPS},
-        FINE_TUNING_FILE_NAME: {"n_timesteps": STEPS, "learning_rate": 1e-3},
-    }
-    (folder / "apg.yml").write_text(yaml.safe_dump(tables), encoding="utf-8")
+    for name, values in (("apg", TINY), (FINE_TUNING_METHOD, {"learning_rate": 1e-3})):
+        (folder / f"{name}.toml").write_text(tomli_w.dumps({"timesteps": STEPS, **values}), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         called = caller(folder, patch)
         assert called("--scenario", "small.toml", "slow.toml") == 0
@@ -69,7 +59,7 @@ def caller(folder, patch):
     patch.chdir(folder)
     patch.setattr("baselines.training.validation.VALIDATED_EPISODES", 3)
     patch.setattr("baselines.training.apg.trainer.LOGS", 5)
-    patch.setattr("baselines.training.request.shipped", lambda algo: Path(f"{algo}.yml"))
+    patch.setattr("baselines.training.command.shipped", lambda name: Path(f"{name}.toml"))
 
     def call(*arguments):
         patch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
@@ -101,7 +91,7 @@ def same(a, b):
 
 def test_training_from_an_agent_for_a_vehicle(call):
     config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
-    begun = ApgTrainer(RunFolder(config, Path("new")), Groups(config, check(config)))
+    begun = ApgTrainer(RunFolder(config, Path("new")))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
     assert not same(weights_of(begun.network), at_the_end(FOUND))
@@ -130,25 +120,10 @@ def test_validation_in_vehicle_units_equals_evaluation_in_metres(call):
     assert steady_rmses[1].min() > 1e-3
 
 
-def test_an_interrupted_training_gives_the_same_agent(call, monkeypatch, capsys):
-    keep = RunFolder.save_checkpoint
-
-    def interrupted(self, state):
-        keep(self, state)
-        if state["timesteps"] >= STEPS / 2:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RunFolder, "save_checkpoint", interrupted)
-        assert call(*BEGUN, "--out", "out") == 1
-    assert call(*BEGUN, "--out", "out", "--resume") == 0
-    assert same(weights("out/agent"), weights(FOUND / "agent"))
-    assert same(at_the_end(Path("out")), at_the_end(FOUND))
-    assert len(read_progress(Path("out"))) == len(read_progress(FOUND))
-    capsys.readouterr()
+def test_an_initial_agent_that_has_changed_is_refused(call, capsys):
     agent = Agent.load("runs/train/apg-small-slow/agent")
     replace(agent, weights={k: 2 * w for k, w in agent.weights.items()}).save("runs/train/apg-small-slow/agent")
-    assert call(*BEGUN, "--out", "out", "--resume") == 2
+    assert call(*BEGUN, "--resume") == 2
     assert "a run with other origin" in capsys.readouterr().err
 
 
@@ -169,18 +144,13 @@ def test_an_agent_for_a_vehicle_can_be_trained_further(call, capsys):
         (("--from", "ppo-cruise"), "'ppo-cruise' was trained by ppo; a training can start only from an agent of apg"),
         (("--algo", "ppo"), "--from requires the algorithm apg, not ppo; leave out --algo"),
         (("--expert", "lqi"), "corrects backstepping; leave out --expert lqi"),
-        (("--authority", "0.1"), "has the authority (0.5, 0.5); leave out --authority"),
         (("--set", "hidden_size=64"), "was trained with hidden_size 8; leave out hidden_size=64"),
         (("--set", "fine=true"), "has another network, or other inputs, than the settings"),
-        (("--vehicle", "submarine"), "unknown vehicle 'submarine'; allowed are a Vehicle, a dict, a .toml file"),
-        (("--vehicle", "none.toml"), "cannot read none.toml"),
         (("--vehicle", "lauv", "--scenario", "slow-calm"), "fins of this vehicle need at least 0.25 m/s"),
         (("--scenario", "paper-circle"), "has a fixed path, which cannot be converted to the units of its vehicle"),
-        (("--hyperparameters", "other.yml"), "other.yml has no table of hyper-parameters under fine-tuning"),
     ],
 )
 def test_wrong_options_give_one_line_and_create_no_files(arguments, message, call, capsys):
-    Path("other.yml").write_text(yaml.safe_dump({TRAINED_ENV: TINY}), encoding="utf-8")
     before = set(Path().rglob("*"))
     assert call(*BEGUN, "--out", "out", *arguments) == 2
     out, err = capsys.readouterr()
@@ -203,13 +173,7 @@ def test_scenarios_too_slow_for_the_fins_are_left_out():
     assert steers == vehicle_model("lauv").vehicle
     assert len({scenario.substeps for scenario, _ in own}) == 1
     assert [weight for _, weight in own] == [weight for _, weight in mixture]
-
-
-def test_scenarios_of_the_papers_vehicle_do_not_change():
-    mixture = MIXTURES["cruise"]
-    assert in_own_units(mixture) == (mixture, None)
-    twice = ((Scenario("a"), 1.0), (Scenario("b", vehicle=replace(PAPER_VEHICLE, m22=300.0)), 1.0))
-    assert in_own_units(twice) == (twice, None)
+    assert in_own_units(MIXTURES["cruise"]) == (MIXTURES["cruise"], None)  # those of the paper's vehicle
 
 
 def test_rates_rise_and_fall():
@@ -222,14 +186,12 @@ def test_rates_rise_and_fall():
 
 
 def test_fine_tuning_keeps_agent_and_objective():
-    """Of the residual environment's table, only rates, length, windows and number of vehicles are other."""
-    values = load_hyperparameters(shipped("apg"), FINE_TUNING_FILE_NAME)
-    assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "derivative_bound"}
-    assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
-    json.dumps(dict(values.values))
+    """Only rates, length, windows and number of vehicles are other."""
+    values = read_hyperparameters(shipped(FINE_TUNING_METHOD))
+    assert not {*values} & {*OF_AGENT, "effort_weight", "rate_weight", "derivative_bound", "expert", "authority"}
+    assert values["timesteps"] < read_hyperparameters(shipped("apg"))["timesteps"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("page", ["fine-tuning", "tutorials/log-to-agent"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""
@@ -242,79 +204,8 @@ def test_documented_commands_run(page, call, monkeypatch):
         re.search(r"^```toml\n(.*?)^```$", tutorial, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
     )
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
-    lines = [
-        line
-        for line in re.findall(r"^(?:python train.py|auv-gym train) ([^#\n]*)", text, re.MULTILINE)
-        if "--vehicle" in line
-    ]
+    lines = re.findall(r"^(?:python train.py|auv-gym train) ([^#\n]*--vehicle[^#\n]*)", text, re.MULTILINE)
     assert lines
     for line in lines:
         scenario = () if "--scenario" in line else ("--scenario", "small.toml")
         assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
-
-
-def test_the_study_of_fine_tuning(tmp_path, monkeypatch, capsys):
-    """A quick form of the command, whose agents have learned nothing."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(fine_tuning, "_DISTURBED", ("waves", "noise"))
-    words = ["--vehicle", "otter", "--episodes", "2", "--out", "new.json", "--policy", "backstepping", "helm"]
-    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
-    record = json.loads(Path("new.json").read_text(encoding="utf-8"))
-    own = record["vehicles"]["otter"]
-    assert [len(case) for case in own["helm"]["steady_rmses"]] == [2, 2]
-    for name, factor, rate in (("nmpc", 0.5, 4.0), ("tuned", 0.4, 1.0)):
-        errors = [[factor * x for x in case] for case in own["helm"]["steady_rmses"]]
-        own[name] = {"steady_rmses": errors, "failed": 1, "command_rate": rate}
-    assert fine_tuning.ratio(own, "tuned", "helm") == (pytest.approx(0.4), pytest.approx((0.4, 0.4)))
-    own["nmpc"]["seconds"], own["tuned"]["seconds"] = 7.0, 61.4
-    best = fine_tuning.best_controller(own)
-    assert best == min(("nmpc", "backstepping"), key=lambda name: fine_tuning.ratio(own, name, "helm")[0])
-    shown = fine_tuning._row("otter", {**own, "backstepping": own["helm"]}, "helm")
-    assert shown[:2] == ["`otter`", "`nmpc`"]
-    assert shown[2:5] == ["2.00 (2.00 ... 2.00)", "0.80 (0.80 ... 0.80)", "0.40 (0.40 ... 0.40)"]
-    assert shown[5:] == [f"1, 1, {own['helm']['failed']}, 1", "0.25", "61"]
-    capsys.readouterr()
-    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
-    assert capsys.readouterr().out == ""  # all is there
-
-
-def test_rows_of_changed_policies_are_ignored(tmp_path, monkeypatch):
-    prints = {"helm": "of helm", "backstepping": "of the law"}
-    monkeypatch.setattr(fine_tuning, "fingerprint", prints.get)
-    rows = {
-        name: {"steady_rmses": [[1.0]], "failed": 0, "fingerprint": fine_tuning.row_fingerprint(name, "helm")}
-        for name in ("helm", "backstepping", "tuned")
-    }
-    rows["tuned"]["set"] = fine_tuning.recipe()
-    options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
-    record = {"agent": "helm", "episodes": 1, "vehicles": {"otter": rows}}
-    options.out.write_text(json.dumps(record), encoding="utf-8")
-
-    def valid(options):
-        return set(fine_tuning.still_valid(options)["vehicles"].get("otter", ()))
-
-    assert fine_tuning.still_valid(options) == record
-    assert valid(replace(options, timesteps=40)) == {"helm", "backstepping"}
-    assert valid(replace(options, episodes=2)) == set()
-    prints["helm"] = "new"
-    assert valid(options) == {"backstepping"}
-    prints["backstepping"] = "new"
-    assert valid(options) == set()
-
-
-def test_the_page_shows_the_present_policies():
-    """The agents are tuned as the hyper-parameters say."""
-    kept = json.loads(fine_tuning.FINE_TUNING_FILE.read_text(encoding="utf-8"))
-    assert {tuple(found["tuned"]["set"]) for found in kept["vehicles"].values()} == {tuple(fine_tuning.recipe())}
-    for name, row in ((name, row) for found in kept["vehicles"].values() for name, row in found.items()):
-        assert row["fingerprint"] == fine_tuning.row_fingerprint(name, kept["agent"]), "run research fine-tuning"
-
-
-def test_the_readme_compares_tuned_agents_with_the_best_controllers():
-    vehicles = json.loads(fine_tuning.FINE_TUNING_FILE.read_text(encoding="utf-8"))["vehicles"]
-    ratios = [fine_tuning.ratio(own, "tuned", fine_tuning.best_controller(own))[0] for own in vehicles.values()]
-    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert f"the error is then {min(ratios):.2f} to {max(ratios):.2f} times that of the best controller" in readme
-    seconds = [own["tuned"]["seconds"] for own in vehicles.values()]
-    assert (round(min(seconds) / 60), round(max(seconds) / 60)) == (2, 3)
-    assert "[Training for one vehicle](docs/fine-tuning.md) takes two to three minutes" in readme

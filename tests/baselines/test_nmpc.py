@@ -7,7 +7,7 @@ import casadi
 import numpy as np
 import pytest
 from casadi_solver import CasadiSolver
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import slow_except
 from scipy.integrate import solve_ivp
@@ -21,8 +21,7 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
-from auv_gym.task.observation import SIZE
-from baselines.control.nmpc.controller import ENDS, NMPC_GAINS, PREVIEW, paces, shift_matrix, targets
+from baselines.control.nmpc.controller import ENDS, PREVIEW, paces, shift_matrix, targets
 from baselines.control.nmpc.gauss_newton import (
     after_step,
     bounded_minimum,
@@ -40,9 +39,8 @@ from baselines.control.nmpc.problem import (
     Stage,
     next_state,
 )
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
-from baselines.gains.loading import load_gains
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
 WEIGHTS = CostWeights(huber=0.3, surge=3e-3, yaw=3e-3, sway=0.2, terminal=1.0)
@@ -170,17 +168,15 @@ def test_minimum_within_bounds_is_that_of_scipy(seed):
     np.testing.assert_array_equal(free, (c > low) & (c < high))
 
 
-@pytest.mark.parametrize(
-    ("limits", "method"), [((250.0, 100.0), "ipopt"), ((60.0, 15.0), "ipopt"), ((60.0, 15.0), "fatrop")]
-)
-def test_optimum_is_that_of_casadi(limits, method):
+@pytest.mark.parametrize("limits", [(250.0, 100.0), (60.0, 15.0)])
+def test_optimum_is_that_of_casadi(limits):
     rng = np.random.default_rng(1)
     start, horizon = random_problem(rng, 6, limits)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
     ours = guess = problem.predict(start, np.zeros((STAGES, COMMAND_SIZE, 6)), horizon)
     for _ in range(60):
         ours, _ = after_step(problem, ours, horizon)
-    theirs = CasadiSolver(problem, STAGES, method)(guess, horizon, np.full(6, 100))
+    theirs = CasadiSolver(problem, STAGES)(guess, horizon, np.full(6, 100))
     assert (theirs.cost < 0.9 * guess.cost).all()
     np.testing.assert_allclose(ours.cost, theirs.cost, rtol=1e-5)
     np.testing.assert_allclose(ours.commands[:3], theirs.commands[:3], atol=0.02 * limits[1])
@@ -189,19 +185,14 @@ def test_optimum_is_that_of_casadi(limits, method):
         assert (np.abs(ours.commands) == horizon.limits).any()
 
 
-def test_steps_lower_the_cost_and_converge():
+def test_steps_lower_the_cost():
     rng = np.random.default_rng(2)
     start, horizon = random_problem(rng, 8)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
     plan = problem.predict(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 8)), horizon)
-    steps = np.arange(8)
-    better = optimised_plan(problem, plan, horizon, steps)
+    better = optimised_plan(problem, plan, horizon, np.arange(8))  # no step of the first vehicle
     np.testing.assert_array_equal(better.commands[..., 0], plan.commands[..., 0])
     assert (better.cost[1:] < plan.cost[1:]).all()
-    for _ in range(60):
-        plan, _ = after_step(problem, plan, horizon)
-    assert np.abs(gauss_newton_step(problem, plan, horizon).step).max() < 1.0
-    np.testing.assert_allclose(problem.predict(start, plan.commands, horizon).cost, plan.cost)
 
 
 def test_shifted_commands_are_the_means_one_period_later():
@@ -215,23 +206,8 @@ def test_shifted_commands_are_the_means_one_period_later():
 # The controller.
 
 
-def gains(**changes):
-    return {**load_gains("nmpc", "cruise", NMPC_GAINS), **changes}
-
-
 def observations(n, scenario="cruise-storm"):
     return UnderactuatedAUVTrackVectorEnv(n, scenario, preview=PREVIEW).reset(seed=7)[0]
-
-
-def test_it_reacts_to_a_turn_in_the_preview():
-    """The terms of the observation are those of a straight path; only the preview contains the turn."""
-    policy, rows = baselines.make_policy("nmpc"), observations(2, "cruise-calm")
-    rows[1] = rows[0]
-    rows[:, :6] = 0.0
-    times = 0.1 * np.array(PREVIEW)
-    rows[:, SIZE::2], rows[:, SIZE + 1 :: 2] = times, [np.zeros_like(times), 0.05 * times**2]
-    action, _ = policy.predict(rows)
-    assert action[1, 1] > action[0, 1] + 0.01
 
 
 def test_the_horizon_has_the_same_length_at_a_shorter_control_period():
@@ -254,22 +230,6 @@ def test_a_shorter_control_period_does_not_increase_the_error(name):
         for s in (coarse, fine)
     )
     assert short < usual
-
-
-@given(seed=st.integers(0, 2**31 - 1), size=st.floats(0, 1))
-@example(seed=0, size=1.0)
-@settings(max_examples=10, deadline=None)
-def test_actions_are_finite_for_every_observation(seed, size):
-    env = UnderactuatedAUVTrackVectorEnv(6, "cruise-storm", preview=PREVIEW)
-    rows, policy, memory = env.reset(seed=7)[0], baselines.make_policy("nmpc"), None
-    rng, high = np.random.default_rng(seed), env.single_observation_space.high
-    for _ in range(3):
-        wild = rows.copy()
-        wild[:, :6] = size * rng.uniform(-1, 1, (6, 6)) * high[:6]
-        wild[:, SIZE:] = size * rng.choice((-1, 1), wild[:, SIZE:].shape) * high[SIZE:]
-        action, memory = policy.predict(wild, memory)
-        assert (np.abs(action) <= 1).all()
-        assert all(np.isfinite(a).all() for a in memory)
 
 
 def test_the_tracking_law_acts_if_the_prediction_diverges():
@@ -296,12 +256,3 @@ def test_actions_are_those_with_casadi():
         observation, *_ = env.step(actions[0])
         first = np.zeros_like(first)
     np.testing.assert_allclose(actions[0], actions[1], atol=0.02)
-
-
-def test_wrong_previews_and_gains_are_refused():
-    with pytest.raises(ValueError, match=r"has 0 columns .* needs a preview of 54.*preview=policy.preview"):
-        baselines.make_policy("nmpc").predict(observations(1)[:, :SIZE])
-    with pytest.raises(ValueError, match=r"weight surge is 0\.0; it must be"):
-        baselines.make_policy("nmpc", gains=gains(surge=0.0))
-    with pytest.raises(ValueError, match="nmpc has the gains k9; they must be huber, surge"):
-        baselines.make_policy("nmpc", gains={"k9": 1.0})

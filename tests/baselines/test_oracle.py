@@ -1,21 +1,30 @@
 """The oracle: better than the expert in every case, stable in difficult episodes, with an exact plan."""
 
+import math
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from marks import slow_except
 
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.planning.paths import Circle
+from auv_gym.planning.planner import Reference, plan
+from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
 from baselines.control.privileged.oracle import (
     DIVERGED,
+    assemble,
     oracle_run,
     regulators,
     stable_gains,
-    stacked_vehicles,
     true_plan,
 )
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
 
 
 @pytest.mark.parametrize("speed_range", ["slow", "cruise"])
@@ -52,9 +61,6 @@ def test_the_true_plan_is_followed_open_loop():
     scenario = PRESETS["slow-mismatch"]
     episodes = drawn(scenario, 8, 0).episodes
     plan = true_plan(scenario, episodes)
-    from auv_gym.physics.dynamics import rk4_step
-    from auv_gym.physics.namespaces import ARRAYS
-
     state = tuple(plan.state[100])
     for k in range(100, 150):
         F_u, F_r = plan.force[k]
@@ -62,9 +68,13 @@ def test_the_true_plan_is_followed_open_loop():
     np.testing.assert_allclose(np.array(state)[:2], plan.state[150, :2], atol=2e-3)
 
 
-def test_stacked_vehicles_have_the_parameters_of_each():
-    vehicles = [e.vehicle for e in drawn(PRESETS["cruise-storm"], 3, 0).episodes]
-    rows = stacked_vehicles(vehicles)
-    for i, vehicle in enumerate(vehicles):
-        assert [row[i] for row in rows.coefficients] == list(vehicle.coefficients)
-        assert rows.m11[i] == vehicle.m11
+def test_assembled_plans_of_several_laps_equal_planned_ones():
+    paths, times = [Circle(1.5, 0.12), Circle(1.5, -0.3)], np.linspace(0, 60, 601)
+    plans = [plan(path, PAPER_VEHICLE, times) for path in paths]
+    names = [field.name for field in fields(Reference)][1:]
+    R = Reference(times, *(np.stack([getattr(r, name) for r in plans], axis=1) for name in names))
+    along = path_rates(np.stack([path.derivatives(times) for path in paths], axis=-1))
+    rows = Vehicle.unchecked(Coefficients(*np.repeat(np.array([PAPER_VEHICLE.coefficients]).T, 2, axis=1)))
+    found = assemble(times, np.stack((R.x, R.y)), along, np.sin(R.gamma), rows, (0 * R.u, 0 * R.u))
+    np.testing.assert_allclose(found.table, R.table, rtol=1e-9, atol=1e-9)
+    assert np.abs(R.psi[-1] - R.psi[0]).min() > 2 * math.pi

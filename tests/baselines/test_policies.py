@@ -1,5 +1,8 @@
-"""Properties of all policies: batches equal single vehicles, memory is reset, compiled and plain code agree."""
+"""Properties of all policies: names, batches equal single vehicles, memory, compiled and plain code agree."""
 
+import warnings
+
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -11,10 +14,12 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
 from auv_gym.task.policy import preview_of
 from baselines import list_policies, make_policy
+from baselines.agents.names import PolicyName
+from baselines.evaluation import recorded
 from baselines.policy import Privileged
 
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
-WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
+WRAPPED = ["helm:guard", "apg-cruise:guard=ekf", "backstepping:checked"]
 COMPILED = native.compiler() is not None and native.wanted()
 LOOSE = {"nmpc": 1e-4, "nmpc-adverse": 1e-4}
 """Largest difference of actions between a batch and single vehicles, 1e-5 for all others: solvers have a tolerance."""
@@ -40,7 +45,7 @@ def test_vehicles_of_a_batch_are_independent(name):
         for i in range(4):
             one, single[i] = policy.predict(observation[i], single[i], first[i : i + 1])
             alone.append(one)
-        if COMPILED and name in ("ekf", "current-observer"):
+        if COMPILED and name == "ekf":
             np.testing.assert_array_equal(action, alone)
         np.testing.assert_allclose(action, alone, atol=LOOSE.get(name, 1e-5))
         first = np.zeros(4, dtype=bool)
@@ -96,3 +101,57 @@ def test_full_information_is_required(name):
         policy.predict(np.zeros((1, 18)))
     with pytest.raises(RuntimeError, match="needs prepare"):
         policy.observe(None)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts", "kind"),
+    [
+        ("a.py:f:guard=ekf", ("a.py:f", "ekf", False), "python"),
+        ("helm:guard", ("helm", "", False), "agent"),
+        ("model.zip:checked", ("model.zip", None, True), "sb3"),
+        ("runs/a/agent", ("runs/a/agent", None, False), "agent"),
+        ("model.onnx", ("model.onnx", None, False), "onnx"),
+        *((name, (name, None, False), "controller") for name in (":guard", "helm:guards", "helm:guard=")),
+        *((line, (line, None, False), "program") for line in ("cmd:x:guard", "cmd:a.py:b", "cmd:x.zip")),
+    ],
+)
+def test_parts_and_kind_of_a_name(name, parts, kind):
+    assert PolicyName.of(name) == parts
+    assert PolicyName.of(name).kind == kind
+
+
+def test_names_with_suffixes_are_policies():
+    assert recorded.speed_ranges_of("apg-slow:guard=ekf:checked") == ("slow",)
+    with pytest.raises(ValueError, match="unknown policy 'dog'"):
+        make_policy("helm:guard=dog")
+
+
+def messages_of(policy, keeps_memory, scenario="cruise-storm", **options):
+    """Drive four steps, with the memory or without, and return the messages of warnings."""
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        observation, memory = env.reset(seed=1)[0], None
+        for _ in range(4):
+            action, after = policy.predict(observation, memory, **options)
+            memory = after if keeps_memory else None
+            observation, *_ = env.step(action)
+    return [str(w.message) for w in caught if w.filename == __file__]
+
+
+@pytest.mark.parametrize("name", ["integral-normalised", "ekf", "apg-cruise"])
+def test_dropped_memory_is_a_warning(name):
+    """At every step but the first, except where an episode starts."""
+    policy = make_policy(name)
+    messages = messages_of(policy, False)
+    assert len(messages) == 3
+    assert all("its memory was dropped" in message for message in messages)
+    assert messages_of(policy, True) == messages_of(policy, False, episode_start=np.array([True])) == []
+
+
+def test_an_agent_in_the_other_speed_range_warns_once():
+    for name, scenario in (("apg-slow", "cruise-calm"), ("apg-cruise", "paper-circle")):
+        policy = make_policy(name)
+        (message,) = messages_of(policy, True, scenario)
+        assert "choose the agent for that speed range" in message
+        assert messages_of(policy, True, scenario) == []

@@ -6,22 +6,22 @@ import pytest
 from rich.console import Console
 
 from auv_gym.scenarios.presets import PRESETS
-from baselines.evaluation import progress as module
-from baselines.evaluation.progress import run_and_show
-from baselines.evaluation.runner import drawn
+from baselines.evaluation.cells import drawn
+from baselines.evaluation.report import terminal as module
+from baselines.evaluation.report.terminal import run_and_show
 from baselines.tools.workers import Workers
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_each_run_is_shown(terminal, monkeypatch, capsys):
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_each_run_is_shown(is_terminal, monkeypatch, capsys):
     out = io.StringIO()
-    if terminal:
+    if is_terminal:
         monkeypatch.setattr(module, "Console", lambda **_: Console(file=out, force_terminal=True, width=100))
     cell = drawn(PRESETS["slow-calm"], 3, 0)
     found = run_and_show([(policy, cell) for policy in ("backstepping", "open-loop")], Workers(2))
     assert {run.policy for run in found} == {"backstepping", "open-loop"}
     lines = [f"{run.policy} in slow-calm: done" for run in found]
-    if terminal:
+    if is_terminal:
         assert "0/2 runs" in out.getvalue()
         assert f"2/2 {lines[1]}" in out.getvalue()
     else:

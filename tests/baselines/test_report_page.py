@@ -1,10 +1,7 @@
 """The report of an evaluation in a browser: wide and narrow screens, print, no scripts, and hostile names."""
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from browser import opened
@@ -13,13 +10,11 @@ from baselines import list_policies
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import compare, pool
-from baselines.evaluation.report.page import _library, _packed
 from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
 from baselines.tools.figure_style import LOOKS
 
-ROOT = Path(__file__).parents[2]
 LARGEST = 1_500_000  # [bytes] of a page
 HOSTILE = '</script><img src=x onerror="window.caught=1"><b>&{{7*7}}\\'
 TIMEOUT = 60_000  # [ms]
@@ -58,20 +53,13 @@ def policies_of(chart):
 
 
 def test_thirty_policies_have_different_looks():
-    assert len(LOOKS) >= 30
-    assert len({(look.colour, look.dash) for look in LOOKS}) == len(LOOKS)
+    assert len({(look.colour, look.dash) for look in LOOKS}) == len(LOOKS) >= 30
     assert len({(look.colour, look.marker) for look in LOOKS}) == len(LOOKS)
-
-
-@pytest.mark.slow
-def test_the_page_of_the_benchmark_is_small(pages):
-    text = (pages / "suite" / "report.html").read_text(encoding="utf-8")
-    assert len(text.encode()) < LARGEST
-    assert all(policy in text for policy in list_policies())
 
 
 @pytest.mark.parametrize("width", [1200, 390])
 def test_the_benchmark_in_a_browser(browser, pages, width):
+    assert (pages / "suite" / "report.html").stat().st_size < LARGEST
     with opened(browser, pages / "suite" / "report.html", width, mobile=width < 500) as page:
         ready(page)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -124,12 +112,8 @@ def test_switch_a_policy_off_and_play(browser, pages):
         ready(page)
         assert page.evaluate("window.caught") is None
         assert HOSTILE in page.locator("#leaderboard .panel.current tbody").inner_text()
-        for chart, lines in (
-            ("steady_rmses", ".mark-symbol path"),
-            ("errors", ".mark-line path"),
-            ("bands", ".mark-line path"),
-        ):
-            assert page.locator(f"#{chart} {lines}").count() == 3, chart
+        for chart, mark in {"steady_rmses": "symbol", "errors": "line", "bands": "line"}.items():
+            assert page.locator(f"#{chart} .mark-{mark} path").count() == 3, chart
         page.locator('#leaderboard .panel.current tr[data-policy="lqi"] input').uncheck()
         page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=TIMEOUT)
         assert "lqi" not in policies_of(page.locator("#steady_rmses"))
@@ -170,40 +154,3 @@ def test_page_without_scripts_has_the_tables(browser, pages):
     assert page.locator(".script:visible").count() == 0
     assert HOSTILE in page.locator("body").inner_text()
     context.close()
-
-
-def test_the_same_run_gives_the_same_page(pages, tmp_path):
-    request = Request.of(Options(scenario=("slow-calm",), episodes=2, out=tmp_path))
-    runs = [
-        replace(run, seconds=1.0, decision_seconds=1e-5)
-        for run in run_all(("backstepping",), request.cells, step_limit=TIMEOUT)
-    ]
-    assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
-
-
-def test_pictures_of_the_pages(browser, pages, tmp_path):
-    """The command runs in another process, since Playwright allows one instance in each."""
-    del browser  # only required
-    words = ["-m", "research", "screenshots", "--pages", str(pages), "--out", str(tmp_path)]
-    subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
-    shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
-    assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
-    for name in shown:
-        assert 5_000 < (ROOT / "docs" / "images" / name).stat().st_size < 250_000
-
-
-def test_cached_code_of_charts_is_used_from_private_folders_only(tmp_path, monkeypatch):
-    """If other users can write to the cache, its files could contain any script."""
-    monkeypatch.setenv("AUV_GYM_CACHE", str(tmp_path))
-    tmp_path.chmod(0o700)
-    _library.cache_clear()
-    code = _library()
-    (file,) = tmp_path.iterdir()
-    assert file.read_text() == code
-    planted = _packed("window.caught = 1")
-    file.write_text(planted)
-    for mode, expected in ((0o700, planted), (0o777, code)):
-        tmp_path.chmod(mode)
-        _library.cache_clear()
-        assert _library() == expected
-    _library.cache_clear()

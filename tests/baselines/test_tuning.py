@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,25 +10,25 @@ import pytest
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
-from auv_gym.task.observation import SIZE
-from baselines.control.backstepping import GAINS, LAW_GAINS, SETS
-from baselines.control.integral import PRINTED_GAINS
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.command import main
-from baselines.tuning.objective import TuningEpisodes, tuning_scenarios
+from baselines.tuning.objective import TUNABLES, TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import EVALUATIONS, POPULATION, TUNING_EPISODES, TUNING_SEED, VALIDATION_SEED, Budget, tune
-from baselines.tuning.tunables import TUNABLES
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(gain_files, "GAINS_FOLDER", tmp_path / "gains")
+def file(tmp_path, monkeypatch):
+    """A copy of the file of gains, to which results are written."""
+    copy = tmp_path / "gains.json"
+    shutil.copy(gain_files.GAINS_FILE, copy)
+    monkeypatch.setattr(gain_files, "GAINS_FILE", copy)
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 16)
-    shutil.copytree(Path(gain_files.__file__).parent, tmp_path / "gains", ignore=shutil.ignore_patterns("*.py", "__*"))
-    return tmp_path / "gains"
+    gain_files.recorded_gains.cache_clear()
+    yield copy
+    gain_files.recorded_gains.cache_clear()
 
 
 def test_objective_is_the_capped_steady_state_error_of_single_episodes():
@@ -51,19 +50,6 @@ def test_objective_is_the_capped_steady_state_error_of_single_episodes():
     assert result.error_m == pytest.approx(np.mean(list(result.case_error_m.values())))
     assert result.effort == pytest.approx(np.mean(np.square(commands)), rel=1e-5)
     assert result.smoothness == pytest.approx(np.mean(np.square(np.diff(commands, axis=1))), rel=1e-5)
-
-
-def test_policies_with_and_without_a_preview_run_the_same_episodes():
-    class WithPreview:
-        preview = (1, 20)
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            assert observation.shape == (8, SIZE + 4)
-            return law.predict(observation)
-
-    episodes, law = TuningEpisodes("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
-    episodes.steps = 12
-    assert episodes.run(WithPreview()) == episodes.run(law) == episodes.run(WithPreview())
 
 
 def test_half_of_the_adverse_episodes_are_storms_with_faults():
@@ -97,7 +83,9 @@ def recording(record):
 
 @pytest.mark.slow
 def test_search_improves_within_its_evaluations_and_repeats():
-    law, start, asked = TUNABLES["backstepping-tuned"], {name: getattr(GAINS["paper"], name) for name in LAW_GAINS}, []
+    law, asked = TUNABLES["los-pid"], []
+    start = load_gains("los-pid", "slow", law.names, "start")
+    start["heading"] /= 5
     runs = []
 
     def factory(gains):
@@ -116,55 +104,45 @@ def test_search_improves_within_its_evaluations_and_repeats():
 
 
 def test_all_controllers_have_the_same_budget():
-    """All files of gains have the same number of evaluations, except the expert's, which state their origin."""
-    spent = Budget()
+    """All tuned gains have the same number of evaluations; the sets of the law state their origin."""
+    spent, record = Budget(), gain_files.recorded_gains()
     assert spent.generations * POPULATION + 12 == spent.evaluations == EVALUATIONS >= 300
-    files = sorted(set(gain_files.GAINS_FOLDER.glob("*.json")) - {SETS, gain_files.EXPONENTS})
-    assert sorted(file.stem for file in files) == sorted(
-        f"{name}-{speed_range}" for name in TUNABLES for speed_range in SPEED_RANGES
-    )
-    for file in files:
-        record = json.loads(file.read_text())
-        assert file.stem == f"{record['policy']}-{record['speed_range']}"
-        assert record["command"] == f"auv-gym tune {record['policy']} --speed-range {record['speed_range']}"
-        assert (record["evaluations"], record["episodes"]) == (EVALUATIONS, TUNING_EPISODES), file
-        assert record["world"] == TUNABLES[record["policy"]].world
-        assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[record["policy"]].names)
-    assert {name: bool(part["origin"]) for name, part in json.loads(SETS.read_text()).items()} == dict.fromkeys(
-        GAINS, True
-    )
+    assert sorted(record["tuned"]) == sorted(TUNABLES)
+    for name, ranges in record["tuned"].items():
+        assert set(ranges) == set(SPEED_RANGES)
+        for speed_range, own in ranges.items():
+            assert own["command"] == f"auv-gym tune {name} --speed-range {speed_range}"
+            assert (own["evaluations"], own["episodes"]) == (EVALUATIONS, TUNING_EPISODES), name
+            assert own["world"] == TUNABLES[name].world
+            assert list(own["gains"]) == list(own["start"]) == list(TUNABLES[name].names)
+    assert all(part["origin"] for part in record["sets"].values())
 
 
-def test_file_holds_gains_and_provenance_and_is_a_start(folder, capsys, monkeypatch):
+def test_the_file_holds_gains_and_provenance(file, tmp_path, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
-    file, names = folder / "integral-slow.json", PRINTED_GAINS
-    before = json.loads(file.read_text())
-    arguments = ["integral", "--speed-range", "slow", "--episodes", "16", "--evaluations", "24"]
+    name, before = "integral-normalised", json.loads(file.read_text())
+    arguments = [name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "24"]
     assert main([*arguments, "--dry-run"]) == DONE
     assert json.loads(file.read_text()) == before
     assert main(arguments) == DONE
-    record = json.loads(file.read_text())
+    after = json.loads(file.read_text())
+    record = after["tuned"][name].pop("slow")
     assert record["command"] == f"auv-gym tune {' '.join(arguments)}"
     assert {"date", "versions", "evaluations", "episodes", "world", "validation"} <= set(record)
-    assert record["start"] == pytest.approx(before["start"])
-    file.write_text(json.dumps({"start": before["start"], "gains": before["gains"]}))
-    capsys.readouterr()
-    assert main([*arguments[:-1], "0", "--start", str(file)]) == DONE
-    assert load_gains("integral", "slow", names) == pytest.approx(before["gains"])
-    file.unlink()
-    with pytest.raises(
-        UsageError, match=r'the file of gains .* does not exist; write initial gains, {"gains": ...}, then'
-    ):
-        main(arguments)
+    earlier = before["tuned"][name].pop("slow")
+    assert record["start"] == pytest.approx(earlier["start"])
+    assert after == before
+    own = tmp_path / "own.json"
+    own.write_text(json.dumps({"gains": earlier["gains"]}))
+    assert main([*arguments[:-1], "0", "--start", str(own)]) == DONE
+    assert load_gains(name, "slow", TUNABLES[name].names) == pytest.approx(earlier["gains"])
 
 
-@pytest.mark.parametrize("speed_range", SPEED_RANGES)
 @pytest.mark.parametrize("name", TUNABLES)
-def test_every_controller_can_be_searched(folder, name, speed_range, monkeypatch):
+def test_every_controller_can_be_searched(file, name, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
-    assert main([name, "--speed-range", speed_range, "--episodes", "16", "--evaluations", "0"]) == DONE
-    record = json.loads((folder / f"{name}-{speed_range}.json").read_text())
-    assert record["gains"] == record["start"]
+    assert main([name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "0"]) == DONE
+    record = json.loads(file.read_text())["tuned"][name]["slow"]
     assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
 
 
@@ -177,13 +155,11 @@ def brief(episodes, policy, run=TuningEpisodes.run):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["unknown"], "unknown controller 'unknown'; allowed are backstepping-tuned, "),
+        (["unknown"], "unknown controller 'unknown'; allowed are integral-normalised, "),
         (["lqi", "--episodes", "24"], "--episodes is 24; it must be a positive multiple of 16"),
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
-        (["lqi", "--speed-range", "fast"], "speed-range"),
         (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
-        (["lqi", "--start", "none.json"], "--start none.json has no gains"),
     ],
 )
 def test_wrong_usage_is_answered_in_one_line(arguments, reason):

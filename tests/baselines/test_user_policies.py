@@ -1,6 +1,5 @@
 """Policies from users' own files: the documented examples, and mistakes in one line."""
 
-import contextlib
 import json
 import re
 import shutil
@@ -21,12 +20,13 @@ from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
-from baselines.evaluation import entry as evaluation
+from baselines.evaluation import command as evaluation
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn, run_all
+from baselines.evaluation.runner import run_all
 from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
 from baselines.training.config import Config
@@ -53,13 +53,11 @@ def test_documented_module(example, tmp_path):
 
 def test_a_file_runs_as_if_imported(tmp_path, monkeypatch):
     """Annotations are types, not texts; the module is found by dataclasses; and nothing is written beside it."""
-    lines = ("import dataclasses", "from pathlib import Path", "@dataclasses.dataclass", "class Still:")
-    lines += (
-        "    limit: float = 2.0",
-        "    def predict(self, observation, *_):",
-        "        return Path(__file__).name, None",
+    text = "import dataclasses\nfrom pathlib import Path\n\n@dataclasses.dataclass\nclass Still:\n"
+    text += (
+        "    limit: float = 2.0\n    def predict(self, observation, *_):\n        return Path(__file__).name, None\n"
     )
-    (tmp_path / "mine.py").write_text("\n".join(lines))
+    (tmp_path / "mine.py").write_text(text)
     monkeypatch.chdir(tmp_path)
     policy = make_policy("mine.py:Still")
     assert type(policy).__annotations__ == {"limit": float}
@@ -67,17 +65,11 @@ def test_a_file_runs_as_if_imported(tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["mine.py"]
 
 
-def test_factory_takes_options(example):
-    assert make_policy("line_of_sight.py:LineOfSight", ahead=7.0).ahead == 7.0
-
-
 @pytest.mark.parametrize(
     ("name", "says"),
     [
         ("missing.py:f", "cannot read missing.py"),
-        ("missing.zip", "cannot read missing.zip"),
         ("line_of_sight.py:nothing", "no function or class 'nothing'"),
-        ("line_of_sight.py:np", "no function or class 'np'"),
         ("broken.py:f", "broken.py cannot be imported: SyntaxError"),
         ("other.py:fails", "fails of other.py fails: KeyError"),
         ("other.py:number", "has no method predict"),
@@ -118,15 +110,10 @@ MODELS = ("PPO", "RecurrentPPO", "SAC", "TD3", "CrossQ", "ARS")
 
 def test_documented_zip(models, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert evaluation.main(["--policy", str(models / "PPO.zip"), *COMMON]) == 0
+    assert evaluation.main(["--policy", *(str(models / f"{name}.zip") for name in MODELS), *COMMON]) == 0
     assert "can run any code" in capsys.readouterr().err
-    assert json.loads(Path("out/results.json").read_text())["results"][1]["error"] is None
-
-
-@pytest.mark.parametrize("algorithm", MODELS)
-def test_zip_acts_as_its_model(models, algorithm):
-    action, _ = make_policy(str(models / f"{algorithm}.zip")).predict(np.ones((3, 18)), deterministic=True)
-    assert action.shape == (3, 2)
+    rows = json.loads(Path("out/results.json").read_text())["results"]
+    assert [row["error"] for row in rows] == [None] * (1 + len(MODELS))
 
 
 def test_zip_with_memory_remembers_what_its_model_does(models):
@@ -184,18 +171,6 @@ def test_zip_sees_what_it_saw_in_training(models, tmp_path):
     assert "vecnormalize.pkl" in caution(str(file))
 
 
-def test_damaged_zips_are_named(models, tmp_path):
-    whole = (models / "PPO.zip").read_bytes()
-    rng = np.random.default_rng(0)
-    for i in range(12):
-        data = bytearray(whole)
-        for at in rng.integers(0, len(data), 20 * i):
-            data[at] ^= 255
-        (tmp_path / "damaged.zip").write_bytes(data[: len(data) // 2] if i == 0 else data)
-        with contextlib.suppress(ValueError):  # and nothing else; a few flips leave a model whole
-            make_policy(str(tmp_path / "damaged.zip"))
-
-
 def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("early.py").write_text("import sys\n\nsys.exit(0)\n")
@@ -208,15 +183,11 @@ def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
     assert "\x1b[2J" not in out + err + Path("out/results.json").read_text()
 
 
-@pytest.mark.parametrize("word", ["\x1b[31m", "a\udc80b", "a\nb"])
-@pytest.mark.parametrize("option", ["--policy", "--out", "--scenario"])
-def test_names_that_cannot_be_printed_are_refused(option, word, capsys):
-    with pytest.raises(UsageError, match="cannot be printed"):
-        evaluation.main([option, word])
-
-
-def test_a_scenario_of_a_name_that_cannot_be_printed_is_refused(tmp_path, monkeypatch):
+def test_names_that_cannot_be_printed_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for word in ("\x1b[31m", "a\udc80b", "a\nb"):
+        with pytest.raises(UsageError, match="cannot be printed"):
+            evaluation.main(["--policy", word])
     Path("a.json").write_text(json.dumps({"name": "\x1b[31m", "steps": 5}))
     with pytest.raises(UsageError, match="printable characters"):
         evaluation.main(["--scenario", "a.json"])
@@ -227,14 +198,6 @@ def test_no_cell_of_a_spreadsheet_is_a_formula(tmp_path, monkeypatch):
     Path("a.json").write_text(json.dumps({"name": "=1+1", "steps": 5}))
     assert evaluation.main(["--scenario", "a.json", "--episodes", "1", "--jobs", "1", "--out", "out"]) == 0
     assert "backstepping,'=1+1,1," in Path("out/results.csv").read_text()
-
-
-@pytest.mark.parametrize(
-    ("option", "value"), [("--episodes", "1000000000"), ("--seed", "9" * 309), ("--jobs", "9" * 309)]
-)
-def test_work_without_bound_is_refused(option, value):
-    with pytest.raises(UsageError, match="must be at most"):
-        evaluation.main(["--scenario", "cruise-calm", option, value])
 
 
 def agent_of(scenarios, expert="backstepping"):
@@ -258,7 +221,7 @@ def test_the_folder_of_a_training_is_a_policy(tmp_path, monkeypatch, capsys):
 
 
 def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
-    request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v1", episodes=2, out=tmp_path))
+    request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v2", episodes=2, out=tmp_path))
     ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
     assert ran == {"slow"}
     assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
@@ -266,6 +229,7 @@ def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
     assert {len(cell.episodes) for _, cell in request.pairs} == {2}
 
 
+HEAVY = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
 BELIEVING = """
 from baselines.control.backstepping import Backstepping
 
@@ -286,30 +250,28 @@ def test_policies_get_the_nominal_vehicle_of_the_scenario(tmp_path, monkeypatch)
     """By name and as an agent's expert, made in the vehicle's own units, and from a file the law knows the vehicle."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BELIEVING)
-    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
-    scenario = changed(PRESETS["cruise-calm"], vehicle=heavy)
+    scenario = changed(PRESETS["cruise-calm"], vehicle=HEAVY)
     agent_of(()).save("agent")
     cell = drawn(scenario, 2, 0)
-    told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.steady_rmse
+    told = rollout(make_policy("backstepping", vehicle=HEAVY), scenario, cell.episodes, 1.0).measures.steady_rmse
     wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.steady_rmse
     runs = run_all(("backstepping", "./agent", "mine.py:Law", "mine.py:make_open_loop"), [cell])
     for run in runs[:2]:
         np.testing.assert_array_equal(run.measures.steady_rmse, told)
-    as_it_is = rollout(Backstepping(vehicle=heavy), scenario, cell.episodes, 1.0).measures.steady_rmse
+    as_it_is = rollout(Backstepping(vehicle=HEAVY), scenario, cell.episodes, 1.0).measures.steady_rmse
     np.testing.assert_array_equal(runs[2].measures.steady_rmse, as_it_is)
     assert runs[3].error is None
     assert told.mean() < 0.5 * wrong.mean()
-    assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == heavy
-    assert make_policy("ekf", heavy).policy.controller.slow.vehicle == in_paper_units(heavy)
-    assert make_policy("open-loop", heavy)
+    assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == HEAVY
+    assert make_policy("ekf", HEAVY).policy.controller.slow.vehicle == in_paper_units(HEAVY)
+    assert make_policy("open-loop", HEAVY)
     residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario=scenario)
-    assert residual.unwrapped.scenario.vehicle == heavy
-    assert residual.get_wrapper_attr("expert").policy.vehicle == in_paper_units(heavy)
+    assert residual.unwrapped.scenario.vehicle == HEAVY
+    assert residual.get_wrapper_attr("expert").policy.vehicle == in_paper_units(HEAVY)
 
 
 def test_an_expert_by_name_gets_the_common_vehicle():
-    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
-    one, other = PRESETS["cruise-calm"], changed(PRESETS["cruise-calm"], vehicle=heavy)
+    one, other = PRESETS["cruise-calm"], changed(PRESETS["cruise-calm"], vehicle=HEAVY)
     assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
-    assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(heavy)
+    assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(HEAVY)
     assert make_residual_vector_env(2, [one, other]).expert.vehicle == one.vehicle

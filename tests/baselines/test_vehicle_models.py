@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from marks import slow_except
+from window_by_torch import group_of
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.namespaces import ARRAYS, tensors
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios import vehicles as vehicle_names
@@ -23,9 +24,8 @@ from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.training import vehicle_models
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
+from baselines.training.apg.network import put, torch_network, weights_of
 from baselines.training.apg.settings import check
-from baselines.training.apg.torch_network import put, torch_network, weights_of
-from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 
 WITH_MODEL = Inputs((3, 20), fine=True, filters=True, nominal_vehicle=True)
@@ -69,38 +69,35 @@ def test_a_share_of_the_vehicles_has_drawn_models(turned):
 
 
 def test_episodes_cycle_through_the_models(turned):
-    scenarios, given = turned
-    vehicles = TrainingVehicles(scenarios, 0, 50, (), given)
-    carried = vehicles.reset(0)
+    _, given = turned
+    group = group_of(given, n_steps=50)
     at = slice(PARAMETERS.coefficients.m11, PARAMETERS.coefficients.N_ur + 1)
-    seen = [vehicles.known.copy()]
+    seen = [group.known.copy()]
     for _ in range(vehicle_models.SEVERAL):
-        carried = vehicles.renew(carried, np.full(4, np.nan))
-        assert vehicles.begins.all()
-        seen.append(vehicles.known.copy())
-        true = vehicles.constants[at]
+        group.renew(group.carried, np.full(4, np.nan))
+        assert group.begins.all()
+        seen.append(group.known.copy())
+        true = group.sub_envs.constants[at]
         assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone
         assert (true[:, 3] != seen[-1][:, 3]).any()
-        assert carried.observation[:, 3].any()
+        assert group.carried.observation[:, 3].any()
     for k, known in enumerate(seen):
         for i in range(4):
             assert tuple(known[:, i]) == given[i][k % len(given[i])].vehicle.coefficients
 
 
 def test_a_model_error_does_not_change_plan_and_motion(turned):
-    scenarios, given = turned
-    right, misled = (
-        TrainingVehicles(scenarios, 0, 50, (), given),
-        TrainingVehicles(scenarios, 0, 50, (), given, vehicle_models.with_model_error),
-    )
-    carried, other, wrong = right.reset(0), misled.reset(0), []
+    _, given = turned
+    right, misled = (group_of(given, n_steps=50, misinformed=misinformed) for misinformed in (False, True))
+    wrong = []
     for _ in range(vehicle_models.SEVERAL):
-        assert (right.constants == misled.constants).all()
-        assert all((a == b).all() for a, b in zip(carried, other, strict=True))
-        for ours, its in zip(right.window(), misled.window(), strict=True):
+        assert (right.sub_envs.constants == misled.sub_envs.constants).all()
+        assert all((a == b).all() for a, b in zip(right.carried, misled.carried, strict=True))
+        for ours, its in zip(right.exogenous_inputs(), misled.exogenous_inputs(), strict=True):
             np.testing.assert_array_equal(ours, its)
         wrong.append((right.known != misled.known).any(axis=0))
-        carried, other = right.renew(carried, np.full(4, np.nan)), misled.renew(other, np.full(4, np.nan))
+        for group in (right, misled):
+            group.renew(group.carried, np.full(4, np.nan))
     assert 0.5 < np.mean(wrong) < 0.95  # of 64, three of four are expected
     assert np.any(wrong, axis=0).all()
 
@@ -167,13 +164,8 @@ def test_filters_of_an_agent_use_the_whole_model(name):
 def test_vehicle_features_are_bounded_and_equal_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
     rows, _ = Inputs(nominal_vehicle=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
-    got = dict(
-        zip(
-            [f.name for f in VEHICLE_FEATURES],
-            (float(np.ravel(x)[0]) for x in rows[-len(VEHICLE_FEATURES) :]),
-            strict=True,
-        )
-    )
+    values = (float(np.ravel(x)[0]) for x in rows[-len(VEHICLE_FEATURES) :])
+    got = dict(zip([f.name for f in VEHICLE_FEATURES], values, strict=True))
     assert got["m22"] == pytest.approx(400 / 215 - 1)
     assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
     assert got["N_uv"] == pytest.approx(-0.5)
@@ -182,19 +174,6 @@ def test_vehicle_features_are_bounded_and_equal_the_table():
     rows, _ = Inputs(nominal_vehicle=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= LARGEST_FEATURE
     assert Inputs().features == Inputs(nominal_vehicle=True).features[: -len(VEHICLE_FEATURES)]
-
-
-def test_the_action_depends_on_the_nominal_vehicle():
-    """Without an expert, which would be told as well."""
-    torch.manual_seed(0)
-    observation, inputs = np.zeros(18), Inputs(nominal_vehicle=True)
-    observation[[0, 6, 11, 13, 14, 17]] = 0.1, 0.5, 1.0, 0.78125, 0.78125, 0.8
-    net = torch_network(Gru(len(inputs.features), 8, 8, 8))
-    torch.nn.init.normal_(net.head.weight)
-    agent = Agent(net.sizes, weights_of(net), "none", (1.0, 1.0), inputs=inputs)
-    paper, untold, other = (agent.policy(vehicle=v).predict(observation)[0] for v in (PAPER_VEHICLE, None, OTHER))
-    assert (paper == untold).all()
-    assert (paper != other).any()
 
 
 def test_additional_inputs_do_not_change_the_initial_action():
@@ -225,20 +204,12 @@ def test_other_experts_are_rejected_with_drawn_vehicles():
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 
 
-def test_torch_bounds_by_a_number_and_a_tensor():
-    """As a thruster's command is where thrusters differ astern."""
-    x, low = torch.tensor([-2.0, -0.3, 2.0]), torch.tensor([-0.5, -0.5, -1.0])
-    for bounds in ((low, 1.0), (low, torch.ones(3)), (-0.5, 1.0)):
-        expected = np.clip(x.numpy(), np.asarray(bounds[0]), np.asarray(bounds[1]))
-        assert tensors().clip(x, *bounds).tolist() == expected.tolist()
-
-
 def test_a_vehicle_with_cross_terms_is_trained_on_fixed_paths():
     """Since the plan of a path takes as long as many control steps."""
     scenarios = [changed(PRESETS[name], vehicle) for name, vehicle in (("cruise-noise", "lauv"), ("slow-calm", None))]
     crossed, plain = vehicle_models.with_fixed_paths(scenarios, 0)
     assert plain == [scenarios[1]]
-    assert len({id(s.path) for s in crossed}) == len(crossed) == vehicle_models.PATHS
+    assert len({id(s.path) for s in crossed}) == len(crossed) == vehicle_models.FIXED_PATHS
     assert all(replace(s, path=scenarios[0].path) == scenarios[0] for s in crossed)
     assert vehicle_models.with_fixed_paths(scenarios, 0)[0] == crossed
     assert vehicle_models.with_fixed_paths(crossed[:1], 0) == [crossed[:1]]

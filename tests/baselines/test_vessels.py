@@ -16,10 +16,10 @@ from baselines.identification import Log, identify
 from baselines.identification.columns import Format
 from baselines.identification.command import PROGRAM, main
 from baselines.identification.fit import IDENTIFIED, ZERO
-from baselines.identification.held_out import held_out, section
 from baselines.identification.log import joined
-from baselines.identification.manoeuvres import approach, characteristics
 from baselines.identification.model import names_of
+from baselines.identification.prediction import held_out
+from baselines.identification.report import held_out_text
 from baselines.tools.command_line import run
 
 pytestmark = pytest.mark.slow  # fits of long logs
@@ -83,26 +83,24 @@ def log():
 
 
 @pytest.fixture(scope="module")
-def found(log):
+def fitted(log):
     terms = ("X_uu", "Y_vv", "N_rr", "Y_uv", "Y_ur", "N_uv", "N_ur", "X_vr", "N_vv")
     return identify(log, terms, known=MASSES | still(log))
 
 
-def test_a_vessel_in_wind_is_found(found):
-    assert not found.misfit
-    shown = [e for e in found.estimates if e.verdict in (IDENTIFIED, ZERO)]
+def test_a_vessel_in_wind_is_found(fitted):
+    assert not fitted.misfit
+    shown = [e for e in fitted.estimates if e.verdict in (IDENTIFIED, ZERO)]
     assert len(shown) > 25
-    off = np.array([found[name].value - TRUE.get(name, 0.0) for name in found.free])
-    assert off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.999, len(off))  # all intervals together
+    off = np.array([fitted[name].value - TRUE.get(name, 0.0) for name in fitted.free])
+    assert off @ np.linalg.solve(fitted.covariance, off) < chi2.ppf(0.999, len(off))  # all intervals together
     for e in shown:
         assert abs(e.value - TRUE.get(e.name, 0.0)) <= 0.25 * abs(TRUE.get(e.name, 0.0)) + 0.1, e
-    np.testing.assert_allclose(found.noise, NOISE, rtol=0.1)
-    known = {c.name: c for c in characteristics(found, approach(found))}
-    assert known["advance"].low < known["advance"].value < known["advance"].high
+    np.testing.assert_allclose(fitted.noise, NOISE, rtol=0.1)
 
 
-def test_held_out_runs_are_predicted_within_the_bands(found):
-    result = held_out(found, joined([sailed(5, 9, 18, 20), sailed(6, 9, -30, 1000)]))
+def test_held_out_runs_are_predicted_within_the_bands(fitted):
+    result = held_out(fitted, joined([sailed(5, 9, 18, 20), sailed(6, 9, -30, 1000)]))
     model, nomoto, steady = (np.array(result.rms[name]) for name in ("model", "Nomoto", "constant velocity"))
     assert (model < 0.5 * nomoto).all()
     assert nomoto[0] < steady[0]
@@ -111,7 +109,7 @@ def test_held_out_runs_are_predicted_within_the_bands(found):
     figures = {m.name: m for m in result.manoeuvres}
     assert figures["turning diameter"].predicted == pytest.approx(figures["turning diameter"].measured, rel=0.03)
     assert figures["first overshoot"].predicted == pytest.approx(figures["first overshoot"].measured, abs=0.5)
-    assert "| model |" in section(result, "log")
+    assert "| model |" in held_out_text(result, "log")
 
 
 def test_what_a_rudder_does_not_show_must_be_known(log):
@@ -121,11 +119,11 @@ def test_what_a_rudder_does_not_show_must_be_known(log):
         identify(log, known={"F_u_max": 1.0})
 
 
-def test_the_command_predicts_held_out_runs(log, found, tmp_path, monkeypatch, capsys):
+def test_the_command_predicts_held_out_runs(log, fitted, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("baselines.identification.command.identify", lambda *_: found)
+    monkeypatch.setattr("baselines.identification.command.identify", lambda *_: fitted)
     for k, rows in enumerate(log.runs):
-        log.rows(rows).save(f"{k}.csv")
+        Log(log.t[rows], log.measured[rows], log.commands[rows], log.kind, log.wind[rows]).save(f"{k}.csv")
     known = [f"{name}={value}" for name, value in MASSES.items()]
     arguments = ["0.csv", "1.csv", "--known", *known, "--still-water", "--holdout", "2.csv", "3.csv", "--out", "out"]
     assert run(main, PROGRAM, arguments) == 0
@@ -168,10 +166,10 @@ LOGS = os.environ.get("AUV_GYM_LOGS")
 def test_a_measured_zig_zag_is_predicted_from_others():
     form = Format.named("kvlcc2")
     logs = {file.stem: Log.load(file, form) for file in sorted((Path(LOGS) / "kvlcc2-hsva").glob("Z_*.dat"))}
-    log = joined([own for name, own in logs.items() if name != "Z_20_05"])
-    found = identify(log, known={"m11": 3436.0, "m22": 6050.0, "m33": 15900.0, "arm": 3.5} | still(log))
-    assert found.misfit
-    result = held_out(found, logs["Z_20_05"])
+    log = joined([run for name, run in logs.items() if name != "Z_20_05"])
+    fitted = identify(log, known={"m11": 3436.0, "m22": 6050.0, "m33": 15900.0, "arm": 3.5} | still(log))
+    assert fitted.misfit
+    result = held_out(fitted, logs["Z_20_05"])
     assert math.degrees(result.rms["model"][0]) < 3.0
     overshoot = next(m for m in result.manoeuvres if m.name == "first overshoot")
     assert overshoot.predicted == pytest.approx(overshoot.measured, abs=1.5)

@@ -1,21 +1,21 @@
 """The recomputed paper: every printed number against values that were derived independently."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
-from baselines.control.stability import (
+from research.paper.command import main
+from research.paper.numbers import printed_surge_rate, reproduce_paper
+from research.paper.stability import (
     closed_loop_eigenvalues,
     derived_sign_forces,
-    first_instability,
     spectral_abscissa,
 )
-from research.paper.command import main
 
 STARTS = {
     # signs: to 5 cm [s], to 1 deg [s], peak |F_u| [N], peak |F_r| [N m]
@@ -46,77 +46,67 @@ ABSCISSAS = {
         (-0.111, -0.130, -0.131, -0.154),
     ],
 }
-ROOT = Path(__file__).parents[2]
-NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors")
+NUMBERS = {
+    "path speed v_p": (0.1, 1e-9),
+    "path turn rate omega": (-0.01, 1e-9),
+    "sideslip gamma": (1.2317, 5e-5),
+    "surge velocity u_R": (0.0999769, 5e-8),
+    "sway velocity v_R": (0.0021495, 5e-8),
+    "yaw rate r_R": (-0.01, 1e-9),
+    "surge force F_uR": (7.00408, 5e-6),
+    "yaw torque F_rR": (-0.48925, 1e-5),
+    "factor 10 / (m22 - m11)": (0.2, 1e-12),
+    "coefficient d22 / 10": (10.0, 1e-12),
+    "coefficient d22 v_p^2 / 10": (0.1, 1e-12),
+    "coefficient m11 |omega| / 10": (0.215, 1e-12),
+    "u_R integrated from 1e-3 m/s": (0.0999769, 5e-8),
+    "floor of the position error": (6.8e-6, 1e-6),
+    "floor of the velocity error": (1.2e-5, 1e-6),
+    "largest real part on the circle": (-0.213, 5e-4),
+    "speed at which straight lines turn unstable": (0.4970, 5e-5),
+    "std of F_u under noise": (41.0, 2.0),
+    "std of F_r under noise": (10.0, 0.5),
+    "rms position error under noise": (0.022, 0.002),
+    "std of F_u, low-pass at 1 Hz": (22.0, 1.5),
+    "std of F_u, low-pass at 0.5 Hz": (16.0, 1.5),
+    "std of F_u, low-pass at 0.3 Hz": (13.0, 1.5),
+    "rms position error, low-pass at 1 Hz": (0.023, 0.002),
+    "rms position error, low-pass at 0.5 Hz": (0.024, 0.002),
+    "rms position error, low-pass at 0.3 Hz": (0.026, 0.002),
+}
+"""Values with their tolerances, by quantity."""
 
 
 @pytest.fixture(scope="module")
-def paper(tmp_path_factory):
-    """Return the folder of the recomputed paper."""
-    out = tmp_path_factory.mktemp("paper")
-    assert main(["--out", str(out)]) == 0
-    return out
+def paper():
+    return reproduce_paper()
 
 
 @pytest.fixture(scope="module")
-def reproduction(paper):
-    return json.loads((paper / "paper.json").read_text())
+def measured(paper):
+    return {row.quantity: row.measured for row in paper.rows + paper.remarks}
 
 
-@pytest.fixture(scope="module")
-def measured(reproduction):
-    return {row["quantity"]: row["measured"] for row in reproduction["rows"] + reproduction["remarks"]}
+def test_number(measured):
+    for quantity, (value, tolerance) in NUMBERS.items():
+        assert measured[quantity] == pytest.approx(value, abs=tolerance), quantity
 
 
-@pytest.mark.parametrize(
-    ("quantity", "value", "tolerance"),
-    [
-        ("path speed v_p", 0.1, 1e-9),
-        ("path turn rate omega", -0.01, 1e-9),
-        ("sideslip gamma", 1.2317, 5e-5),
-        ("surge velocity u_R", 0.0999769, 5e-8),
-        ("sway velocity v_R", 0.0021495, 5e-8),
-        ("yaw rate r_R", -0.01, 1e-9),
-        ("surge force F_uR", 7.00408, 5e-6),
-        ("yaw torque F_rR", -0.48925, 1e-5),
-        ("factor 10 / (m22 - m11)", 0.2, 1e-12),
-        ("coefficient d22 / 10", 10.0, 1e-12),
-        ("coefficient d22 v_p^2 / 10", 0.1, 1e-12),
-        ("coefficient m11 |omega| / 10", 0.215, 1e-12),
-        ("u_R integrated from 1e-3 m/s", 0.0999769, 5e-8),
-        ("floor of the position error", 6.8e-6, 1e-6),
-        ("floor of the velocity error", 1.2e-5, 1e-6),
-        ("largest real part on the circle", -0.213, 5e-4),
-        ("speed at which straight lines turn unstable", 0.4970, 5e-5),
-        ("std of F_u under noise", 41.0, 2.0),
-        ("std of F_r under noise", 10.0, 0.5),
-        ("rms position error under noise", 0.022, 0.002),
-        ("std of F_u, low-pass at 1 Hz", 22.0, 1.5),
-        ("std of F_u, low-pass at 0.5 Hz", 16.0, 1.5),
-        ("std of F_u, low-pass at 0.3 Hz", 13.0, 1.5),
-        ("rms position error, low-pass at 1 Hz", 0.023, 0.002),
-        ("rms position error, low-pass at 0.5 Hz", 0.024, 0.002),
-        ("rms position error, low-pass at 0.3 Hz", 0.026, 0.002),
-    ],
-)
-def test_number(measured, quantity, value, tolerance):
-    assert measured[quantity] == pytest.approx(value, abs=tolerance)
+def test_only_two_numbers_disagree(paper):
+    assert [row.quantity for row in paper.rows if row.agrees is False] == [
+        "yaw torque F_rR",
+        "floor of the heading error",
+    ]
+    torque = next(row for row in paper.rows if row.quantity == "yaw torque F_rR")
+    assert torque.paper == -0.488
+    assert "0.3 %" in torque.note
 
 
-def test_only_two_numbers_disagree(reproduction):
-    off = [row["quantity"] for row in reproduction["rows"] if row["agrees"] is False]
-    assert off == ["yaw torque F_rR", "floor of the heading error"]
-    torque = next(row for row in reproduction["rows"] if row["quantity"] == "yaw torque F_rR")
-    assert torque["paper"] == -0.488
-    assert "0.3 %" in torque["note"]
-
-
-@pytest.mark.parametrize("signs", STARTS)
-def test_section_v_from_every_start(reproduction, signs):
-    row = next(row for row in reproduction["starts"] if row["signs"] == signs)
-    found = [row[key] for key in ("settling_5cm_s", "settling_1deg_s", "peak_F_u_N", "peak_F_r_Nm")]
-    np.testing.assert_allclose(found, STARTS[signs], rtol=0.01)
-    assert row["error_100s_m"] < 1e-7
+def test_section_v_from_every_start(paper):
+    for signs, *numbers, error in paper.starts:
+        np.testing.assert_allclose(numbers, STARTS.pop(signs), rtol=0.01)
+        assert error < 1e-7
+    assert STARTS == {}
 
 
 def test_remarks_on_the_printed_equations(measured):
@@ -127,16 +117,18 @@ def test_remarks_on_the_printed_equations(measured):
     assert measured["width of the interval for k_2"] == 0
 
 
-def test_figures_are_png_files(paper):
-    for name in NAMES:
-        assert (paper / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+def test_the_command_writes_the_figures(tmp_path, capsys):
+    assert main(["--out", str(tmp_path)]) == 0
+    assert "| rms position error under noise |" in capsys.readouterr().out
+    names = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors")
+    for name in names:
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_eigenvalues_on_the_circle(reproduction):
+def test_eigenvalues_on_the_circle():
     expected = [-0.213 - 0.061j, -0.213 + 0.061j, -0.326 - 0.900j, -0.326 + 0.900j, -1.199, -1.509]
-    found = closed_loop_eigenvalues(PAPER_VEHICLE, GAINS["paper"], 0.1, -0.01)
-    np.testing.assert_allclose(found, expected, atol=6e-4)
-    np.testing.assert_array_equal(np.array(reproduction["eigenvalues"]) @ (1, 1j), found)
+    values = closed_loop_eigenvalues(PAPER_VEHICLE, GAINS["paper"], 0.1, -0.01)
+    np.testing.assert_allclose(values, expected, atol=6e-4)
 
 
 @pytest.mark.parametrize("gains", ABSCISSAS)
@@ -169,7 +161,10 @@ def test_with_the_derived_sign_straight_lines_are_a_saddle():
         assert spectral_abscissa(PAPER_VEHICLE, GAINS["paper"], U, 0.0, derived_sign_forces) > 0
 
 
-def test_first_instability_needs_a_sign_change():
-    with pytest.raises(ValueError, match="different signs"):
-        first_instability(PAPER_VEHICLE, GAINS["paper"], 0.1, 0.2)
-    assert math.isclose(first_instability(PAPER_VEHICLE, GAINS["paper"], 0.4, 0.6), 0.4970, abs_tol=5e-5)
+@given(st.floats(0.1, 1.2), st.floats(0.1, 2.0), st.floats(-0.2, 0.2), st.floats(-0.5, -0.01))
+def test_printed_surge_rate_holds_for_clockwise_curves(gamma, v_p, v_p_dot, omega):
+    D = PAPER_VEHICLE.d22 + PAPER_VEHICLE.m22 * v_p_dot / v_p
+    gamma_dot = -(PAPER_VEHICLE.m11 * omega + D * math.tan(gamma)) / (PAPER_VEHICLE.m22 - PAPER_VEHICLE.m11)
+    expected = v_p_dot * math.cos(gamma) - v_p * math.sin(gamma) * gamma_dot
+    got = printed_surge_rate(v_p * math.cos(gamma), v_p, v_p_dot, omega, PAPER_VEHICLE)
+    assert got == pytest.approx(expected, rel=1e-6, abs=1e-9)

@@ -1,6 +1,5 @@
 """Vehicles with six degrees of freedom: compared with Fossen's matrix form, the plane, and another simulator."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -16,18 +15,24 @@ from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.scenarios.presets import as_scenario
 from baselines import make_policy
+from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.runner import drawn
 from baselines.identification.log import Log
-from baselines.tools.command_line import run
-from research.transfer import command, comparison, otter, remus100, trials
-from research.transfer.bodies import bodies, deviation
+from research.transfer import comparison, otter, remus100, trials
 from research.transfer.comparison import concordance, pooled
-from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator
-from research.transfer.six_dof import AS_PUBLISHED, Deviation, Inputs, SpatialMotion, coriolis, cross_flow, place_rates
+from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator, bodies, deviation
+from research.transfer.six_dof import (
+    AS_PUBLISHED,
+    Deviation,
+    ModelInputs,
+    SpatialMotion,
+    coriolis,
+    cross_flow,
+    place_rates,
+)
 
 ROOT = Path(__file__).parents[2]
-NO_INPUT = Inputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_INPUT = ModelInputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 REFERENCE = {"remus100": remus_acceleration, "otter": otter_acceleration}
@@ -84,7 +89,7 @@ def test_inner_loops_give_the_commanded_force():
     assert angle[2] == pytest.approx(math.radians(15))
     for F_u, F_r in ((100.0, 20.0), (-60.0, -10.0), (239.0, 60.0), (0.0, 100.0)):
         port, starboard = (
-            otter.thrust(otter.propeller_speed(T, FLOATS), FLOATS) for T in otter.shares(F_u, F_r, FLOATS)
+            otter.propeller_thrust(otter.propeller_speed(T, FLOATS), FLOATS) for T in otter.shares(F_u, F_r, FLOATS)
         )
         assert -133.5 / 2 <= min(port, starboard) + 1e-9
         assert max(port, starboard) <= 239.4 / 2
@@ -116,7 +121,7 @@ def test_with_the_planar_equations_the_adapter_changes_nothing():
     cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", scenario.vehicle)
     plain = rollout(policy, scenario, cell.episodes)
     made = bodies(lambda _: PlanarSimulator(scenario.vehicle, scenario.substeps), scenario.vehicle)
-    other = rollout(policy, scenario, cell.episodes, bodies=made)
+    other = rollout(policy, scenario, cell.episodes, simulator=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
 
@@ -149,63 +154,46 @@ def test_ranks_and_means_agree_with_scipy():
 
 
 @pytest.mark.parametrize("name", REFERENCE)
-def test_the_command_writes_the_log_of_a_trial(name, tmp_path):
-    assert run(command.main, command.PROGRAM, ["--vehicle", name, "--log", str(tmp_path / "log.csv")]) == 0
+def test_the_log_of_a_trial(name, tmp_path):
+    trials.log(name).save(tmp_path / "log.csv")
     kept = Log.load(tmp_path / "log.csv")
-    np.testing.assert_allclose(kept.measured, trials.log(name).measured, atol=1e-6)
-    if name == "otter":  # the log of the tutorial, which its command writes
+    if name == "otter":  # the log of the tutorial
         np.testing.assert_allclose(Log.load(ROOT / "docs/tutorials/otter.csv").measured, kept.measured, atol=1e-6)
     assert np.ptp(kept.measured[:, 2]) > 1.0
     assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
 
 
-def test_the_command_compares(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(trials, "steady_motion", lambda _: {"straight": [], "turns": []})
-    arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
-    assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
-    record = json.loads(Path("found.json").read_text(encoding="utf-8"))["otter"]
-    assert record["tau"]["by_case"].keys() == {"current"}
-    for own in record["policies"].values():
-        assert own["growth"] == pytest.approx(own["space_m"] / own["plane_m"])
-        assert own["failed_space"] == 0
-    assert "Kendall's tau" in capsys.readouterr().out
+def test_rows_are_summarised():
+    results = {policy: comparison._measure("otter", policy, quick=True) for policy in ("los-pid", "ilos")}
+    record = comparison.summary(results)
+    assert len(record["tau_by_case"]) == len(record["cases"])
+    for policy, row in record["policies"].items():
+        for place in ("plane", "space"):
+            errors = [case[place]["steady_rmse"] for case in results[policy].values()]
+            assert row["error_m"][place] == pytest.approx(np.mean(errors))
+        assert row["growth"] == pytest.approx(row["error_m"]["space"] / row["error_m"]["plane"])
+        assert row["failed"]["space"] == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--vehicle", "canoe"], "unknown vehicle 'canoe'; allowed are remus100, otter"),
-        (["--policy", "ekf"], "--policy names 1; a ranking needs 2 or more"),
-        (["--episodes", "1"], "--episodes must be 2 or more"),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments, says, capsys):
-    assert run(command.main, command.PROGRAM, arguments) == 2
-    err = capsys.readouterr().err
-    assert says in err
-    assert err.count("\n") == 1
-
-
-@pytest.fixture
-def kept():
-    return json.loads(comparison.TRANSFER_FILE.read_text(encoding="utf-8"))
-
-
-def test_the_sentences_of_the_page_are_true(kept):
-    remus, boat = kept["remus100"], kept["otter"]
-    assert comparison.TAU < remus["tau"]["ci95"][0]
-    assert boat["tau"]["ci95"][1] < comparison.TAU
-    best = sorted(boat["policies"], key=lambda name: boat["policies"][name]["plane_m"])[:4]
+def test_the_sentences_of_the_page_are_true():
+    values = comparison.STUDY.values()
+    remus, boat = (
+        comparison.summary({policy: values[vehicle, policy] for policy in comparison._POLICIES})
+        for vehicle in ("remus100", "otter")
+    )
+    for vehicle, record in zip(comparison.context()["vehicles"], (remus, boat), strict=True):
+        for name, plane, *_ in vehicle["policies"]:
+            assert float(plane) == pytest.approx(record["policies"][name.strip("`")]["error_m"]["plane"], rel=5e-3)
+    assert remus["tau_ci95"][0] < comparison.TAU < remus["tau"]
+    assert boat["tau_ci95"][1] < comparison.TAU
+    best = sorted(boat["policies"], key=lambda name: boat["policies"][name]["error_m"]["plane"])[:4]
     assert all(boat["policies"][name]["growth"] > 1.3 for name in best)
-    for turn in remus["trials"]["turns"]:
+    for turn in values["remus100", "trials"]["turns"]:
         assert turn["space"] / turn["plane"] == pytest.approx(1.0, abs=0.05)
-    growth = [own["growth"] for own in remus["policies"].values()]
+    growth = [row["growth"] for row in remus["policies"].values()]
     assert 0.9 < np.median(growth) < 1.0
     assert max(growth) < comparison.GROWTH
-    for policy in ("adaptive", "smc-dob"):
-        assert min(remus["policies"][policy][place] for place in ("failed_plane", "failed_space")) > 90
     assert max(boat["policies"], key=lambda name: boat["policies"][name]["growth"]) == "helm-any"
-    assert min(boat["policies"][policy]["growth"] for policy in ("nmpc", "smc-dob", "lqi", "ilos")) > 2.5
+    assert min(boat["policies"][policy]["growth"] for policy in ("nmpc", "lqi", "ilos")) > 2.5
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)

@@ -11,10 +11,8 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.identification import identify
 from baselines.identification.trials import example
-from baselines.tools.command_line import UsageError, run
-from baselines.tools.files import read_json
-from research.validation import command, navigation, vessels
-from research.validation.page import VALIDATION_FILE, context, figures, heading
+from research.validation import navigation, predictions, vessels
+from research.validation.predictions import context, figures, heading
 
 LOGS = os.environ.get("AUV_GYM_LOGS")
 measured = pytest.mark.skipif(not LOGS, reason="AUV_GYM_LOGS does not name a folder of measured runs")
@@ -24,7 +22,7 @@ SCALE, ANGLE, AHEAD, DELAY, NOISE = 0.02, 0.03, -1.5, 0.7, 0.01
 @pytest.fixture
 def sea(tmp_path):
     """Return a folder with a section whose Doppler log is wrong in a known way, on a track of known velocity."""
-    folder = tmp_path / navigation.FOLDER
+    folder = tmp_path / navigation.SNAPIR
     folder.mkdir()
     t = np.arange(0.0, 400.0)
 
@@ -36,23 +34,20 @@ def sea(tmp_path):
     north, east = u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)
     zero = np.zeros_like(t)
     truth = np.column_stack((t, zero, zero, zero, north, east, zero, zero, zero, (psi + np.pi) % (2 * np.pi) - np.pi))
-    heads = (
-        "Time [s],Longitude [rad],Latitude [rad],Altitude [m],V North [m/s],V East [m/s],V Down [m/s],Roll [rad],"
-        "Pitch [rad],Yaw [rad]"
-    )
+    heads = "Time [s],Longitude [rad],Latitude [rad],Altitude [m],V North [m/s],V East [m/s],V Down [m/s]"
+    heads += ",Roll [rad],Pitch [rad],Yaw [rad]"
     np.savetxt(folder / "GT_1.csv", truth, delimiter=",", header=heads, comments="")
     u, v, r = body(t - DELAY)
     noise = NOISE * np.random.default_rng(0).standard_normal((2, len(t)))
-    log = np.column_stack(
-        (t, (1 + SCALE) * u - ANGLE * v + noise[0], (1 + SCALE) * v + ANGLE * u + AHEAD * r + noise[1], zero)
-    )
+    ahead, across = (1 + SCALE) * u - ANGLE * v, (1 + SCALE) * v + ANGLE * u + AHEAD * r
+    log = np.column_stack((t, ahead + noise[0], across + noise[1], zero))
     heads = "Time [s],DVL X [m/s],DVL Y [m/s],DVL Z [m/s]"
     np.savetxt(folder / "DVL_1.csv", log, delimiter=",", header=heads, comments="")
     return tmp_path
 
 
 def test_errors_of_a_doppler_log_are_found(sea):
-    record = navigation.compared(sea)
+    record = navigation.navigation_errors(sea)
     (section,) = record["sections"]
     assert section["scale"] == pytest.approx(SCALE, abs=0.001)
     assert section["misalignment"] == pytest.approx(ANGLE, abs=0.001)
@@ -62,32 +57,13 @@ def test_errors_of_a_doppler_log_are_found(sea):
     assert abs(section["related"]) < 0.15
     assert section["drift_m"] > section["suite_drift_m"]
     assert section["suite_whole_drift_m"] > section["suite_drift_m"]
-    with pytest.raises(UsageError, match="has no files GT_"):
-        navigation.compared(sea / "none")
-
-
-def test_the_drift_is_that_of_the_added_velocities():
     t = np.linspace(0.0, 100.0, 101)
     track = {"t": t, "u": 0 * t, "v": 0 * t, "psi": 0 * t + 0.5}
-    assert navigation._drift(track, 0.03 + 0 * t, 0.04 + 0 * t) == pytest.approx(5.0)
-
-
-def test_the_command_writes_what_it_measures(sea, tmp_path, capsys, monkeypatch):
-    out = tmp_path / "out.json"
-    assert run(command.main, command.PROGRAM, ["--logs", str(sea), "--only", "snapir", "--out", str(out)]) == 0
-    assert read_json(out)["snapir"]["suite"]["noise"] == 0.01
-    monkeypatch.setattr(command, "cross_validated", lambda name, _: {"name": name})
-    assert run(command.main, command.PROGRAM, ["--logs", str(sea), "--only", "kvlcc2-hsva", "--out", str(out)]) == 0
-    assert read_json(out).keys() == {"snapir", "kvlcc2-hsva"}
-    assert run(command.main, command.PROGRAM, ["--logs", "nowhere"]) == 2
-    assert "nowhere is no folder" in capsys.readouterr().err
-    assert run(command.main, command.PROGRAM, ["--logs", str(sea), "--only", "boat"]) == 2
-    assert "unknown source 'boat'" in capsys.readouterr().err
-
-
-def test_a_folder_with_too_few_runs_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="has 0 files Z_"):
-        vessels.runs_of("kvlcc2-hsva", tmp_path)
+    assert navigation._drift(track, 0.03 + 0 * t, 0.04 + 0 * t) == pytest.approx(5.0)  # [m] of the added velocities
+    with pytest.raises(OSError, match="has no files GT_"):
+        navigation.navigation_errors(sea / "none")
+    with pytest.raises(OSError, match=r"kvlcc2-hsva has 0 files Z_\*.dat; it must have 7 or more"):
+        vessels.cross_validated("kvlcc2-hsva", sea)
 
 
 @pytest.mark.slow
@@ -96,7 +72,7 @@ def test_every_run_is_predicted_once_by_a_model_of_the_others(monkeypatch):
     logs = {name: example(PAPER_VEHICLE, Actuators(lag=0.4), sensors, k) for k, name in enumerate("abc")}
     found, fitted = identify(logs["a"], ()), []
     monkeypatch.setattr(vessels, "runs_of", lambda *_: logs)
-    monkeypatch.setattr(vessels, "fitted", lambda _, own: (fitted.append(own), found)[1])
+    monkeypatch.setattr(vessels, "fitted_vessel", lambda _, own: (fitted.append(own), found)[1])
     monkeypatch.setattr(vessels, "VESSELS", {"boat": vessels.Vessel("*", "none", 1.0, 1.0, 3)})
     record = vessels.cross_validated("boat", Path())
     assert fitted == [[logs["b"], logs["c"]], [logs["a"], logs["c"]], [logs["a"], logs["b"]]]
@@ -110,8 +86,7 @@ def test_every_run_is_predicted_once_by_a_model_of_the_others(monkeypatch):
 
 
 def test_the_page_counts_what_is_recorded():
-    shown, record = context(), read_json(VALIDATION_FILE)
-    tanker = record["kvlcc2-hsva"]
+    shown, tanker = context(), predictions.STUDY.values()["kvlcc2-hsva",]
     by_run = tanker["by_run"].values()
     points = sum(row["points"] for row in by_run)
     assert points == tanker["rms"]["model"]["points"]
@@ -122,7 +97,7 @@ def test_the_page_counts_what_is_recorded():
 
 @measured
 def test_the_recorded_navigation_errors_are_those_of_the_logs():
-    mine, recorded = navigation.compared(Path(LOGS)), read_json(VALIDATION_FILE)["snapir"]
+    mine, recorded = navigation.navigation_errors(Path(LOGS)), predictions.STUDY.values()["snapir",]
     assert mine["suite"] == pytest.approx(recorded["suite"])
     for section, known in zip(mine["sections"], recorded["sections"], strict=True):
         assert section == pytest.approx(known, rel=1e-6)

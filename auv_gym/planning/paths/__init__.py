@@ -1,6 +1,6 @@
 """Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
 
-All families except `Spline` and `Retimed` are subclasses of `Family`. Their fields may be arrays of shape (N,), see
+All families except `Spline` are subclasses of `Family`. Their fields may be arrays of shape (N,), see
 `stack`; with times of shape (T, 1) such a path represents N paths. Angles are counter-clockwise from the x axis.
 Positive turn rates are counter-clockwise.
 
@@ -18,7 +18,6 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import Family, Path
 from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
-from auv_gym.planning.paths.retimed import Retimed
 from auv_gym.planning.paths.spline import Spline
 from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth
 
@@ -33,7 +32,6 @@ __all__ = [
     "Line",
     "Path",
     "RandomSmooth",
-    "Retimed",
     "Sine",
     "Spline",
     "evaluate_paths",
@@ -50,7 +48,6 @@ PATHS: dict[str, type] = {
     "lawnmower": Lawnmower,
     "random_smooth": RandomSmooth,
     "spline": Spline,
-    "retimed": Retimed,
 }
 """The families by their names in scenarios."""
 
@@ -79,8 +76,8 @@ def unstack(paths: Path, n: int) -> list[Path]:
     for name, value in vars(paths).items():
         triple = isinstance(value, tuple) or np.ndim(value) == 2
         rows = [np.broadcast_to(row, n).tolist() for row in (value if triple else (value,))]
-        for path, own in zip(single, zip(*rows, strict=True), strict=True):
-            object.__setattr__(path, name, own if triple else own[0])
+        for path, numbers in zip(single, zip(*rows, strict=True), strict=True):
+            object.__setattr__(path, name, numbers if triple else numbers[0])
     return single
 
 

@@ -84,46 +84,6 @@ def validate(path: Any, positive: Sequence[str] = (), nonzero: Sequence[str] = (
             raise ValueError(f"{type(path).__name__}: {name} must be {rule}, got {value!r}")
 
 
-DOMAIN_ROUNDING = 1e-9
-"""Tolerance at the ends of the domain of a path [s]."""
-
-
-def times_of(path: Path, t: Array) -> Array:
-    """Return times as an array; raise ValueError if one is outside the domain of a path that begins at 0."""
-    t = np.asarray(t, dtype=np.float64)
-    if not np.all((t >= -DOMAIN_ROUNDING) & (t <= path.end + DOMAIN_ROUNDING)):
-        raise ValueError(
-            f"{type(path).__name__}: times must be in 0 ... {path.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s"
-        )
-    return t
-
-
-def lowest(curve: Any) -> tuple[float, float]:
-    """Return where a scipy piecewise polynomial is lowest among its turning points, and its value; (nan, inf) if none.
-
-    Between given values a spline is not positive only if this value is not.
-    """
-    turning = curve.derivative().roots(extrapolate=False)
-    turning = turning[np.isfinite(turning)]
-    if not turning.size:
-        return math.nan, math.inf
-    values = curve(turning)
-    return float(turning[values.argmin()]), float(values.min())
-
-
-def by_time(p: Sequence[Array] | Array, q1: Array, q2: Array, q3: Array) -> Array:
-    """Return p(q(t)) and its first three derivatives in t, shape (4, 2, T).
-
-    Args:
-        p: p and its first three derivatives in q, each of shape (2, T).
-        q1: first derivative of q in t, shape (T,).
-        q2: second derivative.
-        q3: third derivative.
-    """
-    p0, p1, p2, p3 = p
-    return np.stack((p0, p1 * q1, p2 * q1**2 + p1 * q2, p3 * q1**3 + 3 * p2 * q1 * q2 + p1 * q3))
-
-
 POSE = ("x0", "y0", "heading")
 """The last fields of every family: start or centre of the curve [m], and its rotation [rad]."""
 
@@ -150,9 +110,9 @@ class Family(ABC):
     @classmethod
     def member(cls, *numbers: Number, **others: Number) -> Self:
         """Return the path with these fields, without a check: the distribution that it is drawn from was checked."""
-        path, own = object.__new__(cls), fields(cls)  # type: ignore[arg-type]
-        path.__dict__.update((field.name, field.default) for field in own)
-        path.__dict__.update(zip((field.name for field in own), numbers, strict=False), **others)
+        path, defaults = object.__new__(cls), {field.name: field.default for field in fields(cls)}  # type: ignore[arg-type]
+        path.__dict__.update(defaults)
+        path.__dict__.update(zip(defaults, numbers, strict=False), **others)
         return path
 
     @abstractmethod

@@ -10,8 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import by_time, is_number, lowest, times_of
+from auv_gym.planning.paths.base import is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
+
+_ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,11 @@ class Spline:
         Raises:
             ValueError: a time is outside 0 ... `end`.
         """
-        t = times_of(self, t)
+        t = np.asarray(t, dtype=np.float64)
+        if not np.all((t >= -_ROUNDING) & (t <= self.end + _ROUNDING)):
+            raise ValueError(f"Spline: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
         q = self._law.chord(t)
-        p = [np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4)]  # by q
-        _, p1, p2, p3 = p
+        p, p1, p2, p3 = (np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4))  # by q
         V, V1, V2 = (self._law.pace(q, nu) for nu in range(3))
         g = np.hypot(*p1)
         g1 = (p1 * p2).sum(axis=0) / g
@@ -69,7 +72,7 @@ class Spline:
         Q1 = (V1 - Q * g1) / g
         Q2 = (V2 - 2 * Q1 * g1 - Q * g2) / g
         q1, q2, q3 = Q, Q * Q1, Q * (Q1 * Q1 + Q * Q2)  # by t
-        return by_time(p, q1, q2, q3)
+        return np.stack((p, p1 * q1, p2 * q1**2 + p1 * q2, p3 * q1**3 + 3 * p2 * q1 * q2 + p1 * q3))
 
 
 @dataclass(frozen=True)
@@ -178,9 +181,10 @@ def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:
 
 def _check_pace(pace: Any, chords: Array) -> None:
     """Raise ValueError if the spline of the speed is not positive between the waypoints."""
-    q, least = lowest(pace)
-    if least <= 0:
-        k = int(np.searchsorted(chords, q)) - 1
+    turning = pace.derivative().roots(extrapolate=False)
+    turning = turning[np.isfinite(turning)]
+    if (least := pace(turning).min(initial=np.inf)) <= 0:
+        k = int(np.searchsorted(chords, turning[pace(turning).argmin()])) - 1
         raise ValueError(
             f"Spline: the speed must stay positive, got {least:.4g} m/s between waypoints {k} and {k + 1}; "
             "let the speeds change less, or over more waypoints"

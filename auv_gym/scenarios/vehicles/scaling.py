@@ -51,8 +51,8 @@ def scaled_part(name: str, part: Any, units: Units) -> Any:
         part = replace(part, reckoning=scaled_part("reckoning", part.reckoning, units))
     if name == "current" and not part.relative:
         powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
-    given = {entry: getattr(part, entry) for entry in powers}
-    return replace(part, **{e: scaled(x, units.factor(*powers[e])) for e, x in given.items() if x is not None})
+    entries = {entry: getattr(part, entry) for entry in powers}
+    return replace(part, **{e: scaled(x, units.factor(*powers[e])) for e, x in entries.items() if x is not None})
 
 
 def actuators_in(units: Units, actuators: Actuators) -> Actuators:

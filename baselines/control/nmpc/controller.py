@@ -229,9 +229,9 @@ def prediction_horizon(
     lengths = np.diff(ends, prepend=0.0, axis=0)
     last = np.broadcast_to((np.arange(stages) == stages - 1)[:, None], ends.shape)
     periods = np.stack((lengths, ends - 0.5 * lengths, last), axis=1)
-    given = {"o": o, "z": z, "target": target, "acting": acting, "periods": periods}
+    inputs = {"o": o, "z": z, "target": target, "acting": acting, "periods": periods}
     first = Observation._fields.index("F_u_max")
-    return Horizon(horizon_kernel()(stages, **given)["stages"], share * o[first : first + COMMAND_SIZE])
+    return Horizon(horizon_kernel()(stages, **inputs)["stages"], share * o[first : first + COMMAND_SIZE])
 
 
 @cache

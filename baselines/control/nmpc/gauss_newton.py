@@ -79,14 +79,10 @@ def after_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> tuple[P
 
 
 def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> GaussNewtonStep:
-    """Return the Gauss-Newton step at a plan, with commands within their limits, see `riccati_step`."""
+    """Return the Gauss-Newton step at a plan, with commands within their limits, see `riccati_kernel`."""
     steps, _, n = plan.commands.shape
-    step, feedback, decrease = (
-        np.empty_like(plan.commands),
-        np.empty((steps, COMMAND_SIZE * STATE_ROWS, n)),
-        np.zeros((1, n)),
-    )
-    constant = problem.constant(n)
+    step, feedback = np.empty_like(plan.commands), np.empty((steps, COMMAND_SIZE * STATE_ROWS, n))
+    decrease, constant = np.zeros((1, n)), problem.constant(n)
     riccati_kernel(problem.substeps, len(constant)).bound(
         slope=np.zeros((STATE_ROWS, n)),
         curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
@@ -105,7 +101,13 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
 
 @cache
 def riccati_kernel(substeps: int, size: int) -> Kernel:
-    """Return the kernel of `riccati_step`, which runs from the last stage to the first.
+    """Return the kernel of the recursion, which runs from the last stage to the first.
+
+    Its results are the derivatives V_x, V_xx of the cost to go one stage earlier, step and feedback of the command, and
+    the predicted decrease. Notation and recursion are those of section II of Tassa et al. With f the Jacobian of a
+    stage, Q_1 = l_1 + f^T V_x and Q_2 = l_2 + f^T V_xx f are the derivatives of the cost to go with respect to state x
+    and command u. k is the step within the limits, and K = -Q_uu^-1 Q_ux the feedback of the commands that are not at a
+    limit. V_x = Q_x + Q_xu k and V_xx = Q_xx + Q_xu K are the derivatives with respect to the state.
 
     Args:
         substeps: see `next_state`.
@@ -113,71 +115,27 @@ def riccati_kernel(substeps: int, size: int) -> Kernel:
     """
 
     def equation(
-        slope: Any, curvature: Any, decrease: Any, stage: Any, constant: Any, limits: Any, **plan: Any
+        slope: Any, curvature: Any, decrease: Any, state: Any, command: Any, after: Any, **data: Any
     ) -> Mapping[str, Sequence[Any]]:
-        coefficients, weights = constants(constant)
-        slope, V_xx, step, feedback, gained = riccati_step(
-            slope,
-            symmetric(curvature),
-            plan["state"],
-            plan["command"],
-            plan["after"],
-            Stage(*stage),
-            coefficients,
-            substeps,
-            weights,
-            limits,
-        )
-        return {
-            "slope": slope,
-            "curvature": triangle(V_xx),
-            "decrease": [decrease[0] + gained],
-            "step": step,
-            "feedback": [x for row in feedback for x in row],
-        }
+        coefficients, weights = constants(data["constant"])
+        V_xx, stage, both = symmetric(curvature), Stage(*data["stage"]), [*state, *command]
+        error, sway, effort = stage_costs(state, command, after, stage, weights, SYMBOLS)
+        V_x = _sum(slope, gradient([error, sway], [1.0, 1.0], after))
+        V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
+        of_error = _error_curvature(after, stage, weights)
+        for axis in (PLACE.x_e, PLACE.y_e):
+            V_xx[axis][axis] = V_xx[axis][axis] + of_error
+        columns = list(zip(*stage_jacobian(state, command, stage, coefficients, substeps), strict=True))
+        Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
+        Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
+        slope, earlier, step, feedback, gained = feedback_law(Q_1, Q_2, command, data["limits"])
+        results = {"slope": slope, "curvature": triangle(earlier), "decrease": [decrease[0] + gained], "step": step}
+        return {**results, "feedback": [x for row in feedback for x in row]}
 
     rows = {"slope": STATE_ROWS, "curvature": STATE_ROWS * (STATE_ROWS + 1) // 2, "decrease": 1, "state": STATE_ROWS}
-    rows |= {
-        "command": COMMAND_SIZE,
-        "after": STATE_ROWS,
-        "stage": STAGE_ROWS,
-        "constant": size,
-        "limits": COMMAND_SIZE,
-    }
+    rows |= {"command": COMMAND_SIZE, "after": STATE_ROWS, "stage": STAGE_ROWS, "constant": size}
     over_time = ("state", "command", "after", "stage", "step", "feedback")
-    return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)
-
-
-def riccati_step(
-    V_x: Sequence[Any],
-    V_xx: Matrix,
-    state: Sequence[Any],
-    command: Sequence[Any],
-    after: Sequence[Any],
-    stage: Stage,
-    coefficients: Coefficients,
-    substeps: int,
-    weights: CostWeights,
-    limits: Sequence[Any],
-) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
-    """Return V_x, V_xx one stage earlier, step and feedback of the command, and the predicted decrease; on symbols.
-
-    Notation and recursion are those of section II of Tassa et al. With f the Jacobian of a stage, Q_1 = l_1 + f^T V_x
-    and Q_2 = l_2 + f^T V_xx f are the derivatives of the cost to go with respect to state x and command u. k is the
-    step within the limits, and K = -Q_uu^-1 Q_ux the feedback of the commands that are not at a limit.
-    V_x = Q_x + Q_xu k and V_xx = Q_xx + Q_xu K are the derivatives with respect to the state, one stage earlier.
-    """
-    both = [*state, *command]
-    error, sway, effort = stage_costs(state, command, after, stage, weights, SYMBOLS)
-    V_x = _sum(V_x, gradient([error, sway], [1.0, 1.0], after))
-    V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
-    curvature = _error_curvature(after, stage, weights)
-    for axis in (PLACE.x_e, PLACE.y_e):
-        V_xx[axis][axis] = V_xx[axis][axis] + curvature
-    columns = list(zip(*stage_jacobian(state, command, stage, coefficients, substeps), strict=True))
-    Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
-    Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
-    return feedback_law(Q_1, Q_2, command, limits)
+    return Kernel.traced(equation, rows | {"limits": COMMAND_SIZE}, over_time, back=True, structural=True, blocked=True)
 
 
 def feedback_law(
@@ -185,7 +143,7 @@ def feedback_law(
 ) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
     """Return V_x, V_xx, step and feedback of the command, and the predicted decrease, from Q_1 and Q_2; on symbols.
 
-    See `riccati_step`. In Q_1 and Q_2 the n entries of the state come before the two of the command.
+    See `riccati_kernel`. In Q_1 and Q_2 the n entries of the state come before the two of the command.
 
     Args:
         Q_1: first derivatives of the cost to go, n + 2 symbols.

@@ -17,15 +17,18 @@ The oracle is a reference and not a bound: other policies can have lower errors 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import LEAST_SHARE, fin_share
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body, tracking_errors
@@ -33,8 +36,17 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.paths import evaluate_paths
-from auv_gym.planning.planner import assemble
-from auv_gym.planning.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
+from auv_gym.planning.planner import BETA, Reference
+from auv_gym.planning.sideslip import (
+    RATES,
+    PathRates,
+    in_sideslip,
+    path_rates,
+    sideslip_rest,
+    sideslip_step,
+    sideslip_terms,
+    steady_sideslip,
+)
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, start, step
@@ -54,8 +66,7 @@ class RegulatorWeights:
 
 
 REGULATORS = {"slow": RegulatorWeights(0.1, 50.0, 25.0), "cruise": RegulatorWeights(0.9, 200.0, 90.0)}
-"""Weights for each speed range. They minimise the steady-state error on the validation split of benchmark-v1 without a
-failed episode."""
+"""Weights for each speed range. They minimise the steady-state error on validation episodes, of which none fails."""
 _NEGLIGIBLE = 1e-6  # weight of the other states, for a well-posed Riccati equation
 SOFTER = (2.0, 4.0)
 """Factors on `RegulatorWeights.position`, tried in turn if an episode diverges under the regulator."""
@@ -232,6 +243,39 @@ def stacked_vehicles(vehicles: Sequence[Vehicle]) -> Vehicle:
     return cast(Vehicle, SimpleNamespace(coefficients=rows, **rows._asdict()))
 
 
+def assemble(
+    times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle, sway_load: tuple[Array, Array]
+) -> Reference:
+    """Return the states and forces (16) of N vehicles on their paths, for the sines of their sideslips.
+
+    Args:
+        times: T times [s].
+        position: x, y of the paths at these times [m], shape (2, T, N).
+        along: rates of the paths, of shape (T, N).
+        w: sine of the sideslip, shape (T, N).
+        vehicle: N vehicles as one, whose coefficients are rows of shape (N,).
+        sway_load: external force Y along the sway axis [N] in (2b), and its time derivative [N/s], of shape (T, N).
+    """
+    rows = np.array([getattr(along, name) for name in RATES])
+    turns = np.round(np.diff(rows[BETA], axis=0) / (2 * math.pi))
+    rows[BETA, 1:] -= 2 * math.pi * np.cumsum(turns, axis=0)  # make the direction continuous
+    spread = [np.broadcast_to(number, w.shape) for number in (*vehicle.coefficients, *sway_load)]
+    arrays = (np.reshape(part, (len(part), -1)) for part in (rows, w[None], spread[:-2], spread[-2:]))
+    motion = _motion_kernel()(**dict(zip(("along", "w", "coefficients", "load"), arrays, strict=True)))["motion"]
+    psi, u, v, r, F_u, F_r, gamma = motion.reshape(-1, *w.shape)
+    return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, along.v_p, along.omega)
+
+
+@cache
+def _motion_kernel() -> Kernel:
+    """Return the kernel of `in_sideslip` for several vehicles."""
+
+    def equation(along: Any, w: Any, coefficients: Any, load: Any) -> dict[str, Any]:
+        return {"motion": in_sideslip(PathRates(*along), w[0], Coefficients(*coefficients), tuple(load), SYMBOLS)}
+
+    return Kernel.traced(equation, {"along": len(RATES), "w": 1, "coefficients": len(Coefficients._fields), "load": 2})
+
+
 def _half_periods(rows: Array) -> Array:
     """Return samples that are constant in the period before each of K + 1 instants on a grid of half periods.
 
@@ -254,7 +298,8 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) ->
         return np.asarray(sideslip_rest([term[j] for term in terms], w, np.sqrt) + push[j])
 
     w = np.empty_like(push)
-    w[0] = np.clip(slow_sideslip(along, vehicle), -_LARGEST_SINE, _LARGEST_SINE)
+    first = PathRates(*(getattr(along, name)[0] for name in RATES))
+    w[0] = np.clip(steady_sideslip(first, vehicle, ARRAYS), -_LARGEST_SINE, _LARGEST_SINE)
     rest = rest_of(w[0], 0)
     for j in range(1, len(w)):
         w[j], rest = sideslip_step(w[j - 1], rest, partial(rest_of, j=j), vehicle.d22 / Dm * h, _LARGEST_SINE)

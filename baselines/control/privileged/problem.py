@@ -79,7 +79,7 @@ class Problem:
         weight[steps // STEADY_RMSE :] = 1.0 / (steps - steps // STEADY_RMSE)
         unit = Units.of(scenario.vehicle).length
         return cls(
-            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False, span=1),
+            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False, bound_factor=1),
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,
@@ -216,8 +216,8 @@ def _ranges(state: Sequence[Any], limits: Sequence[Any], p: Parameters) -> list[
     Commands beyond it have the same effect as its ends, so a gradient method could not leave them.
     """
     thrusts, slews = (p.thrust_u, p.thrust_r), (p.response.slew_u, p.response.slew_r)
-    own = zip(state[FORCES:], thrusts, slews, limits, strict=True)
-    return [_Range.of(force, thrust, slew, p.response.gain, limit) for force, thrust, slew, limit in own]
+    actuators = zip(state[FORCES:], thrusts, slews, limits, strict=True)
+    return [_Range.of(force, thrust, slew, p.response.gain, limit) for force, thrust, slew, limit in actuators]
 
 
 def _position_error(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:

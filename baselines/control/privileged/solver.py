@@ -69,10 +69,10 @@ def optimised(problem: Problem, trajectory: Trajectory, most: int = _MOST_STEPS)
         after, full = _line_search(part, now, part.gauss_newton_step(now, damping[active]))
         gain = np.sqrt(now.cost) - np.sqrt(after.cost)
         failed = ~(after.cost < now.cost)
-        own = damping[active]
-        done = ~(gain > TOLERANCE) & ((full & (own <= HARDLY_DAMPED)) | (failed & (own >= MOST_DAMPING)))
+        dampings = damping[active]
+        done = ~(gain > TOLERANCE) & ((full & (dampings <= HARDLY_DAMPED)) | (failed & (dampings >= MOST_DAMPING)))
         factor = np.where(failed, STIFFER, np.where(full, LOOSER, 1.0))
-        damping[active] = np.clip(factor * own, LEAST_DAMPING, MOST_DAMPING)
+        damping[active] = np.clip(factor * dampings, LEAST_DAMPING, MOST_DAMPING)
         trajectory = replaced(trajectory, active, after)
         active = active[~done]
         if not active.size:

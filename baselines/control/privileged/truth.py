@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body
@@ -32,10 +31,9 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
         InfeasibleReferenceError: an episode's path cannot be followed.
     """
     n, instants = len(episodes), scenario.steps + 1
-    tables = reference_tables(episodes, *plan_of(scenario))
     inputs = ExogenousInputs(n, instants)
-    for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
-        inputs.load(i, scenario, episode, table)
+    for i, episode in enumerate(episodes):
+        inputs.load(i, scenario, episode, scenario.planner.table(episode.path))
     return inputs.read(np.arange(n), instants)
 
 

@@ -10,44 +10,34 @@ from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 Spec = dict[str, Any]
 
-_ROWS = {"name": "rows"}  # the data set that the page fills
 _LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # style of a curve
 _POLICY_TOOLTIP = [{"field": "policy", "title": "policy"}]
 GUIDE_COLOUR = "#8a8a8a"  # colour of auxiliary lines
+_DOTTED: Spec = {"type": "rule", "strokeDash": [2, 3], "color": GUIDE_COLOUR}  # style of an auxiliary line
 
 
 def charts(policies: Sequence[str]) -> dict[str, Spec]:
     """Return the charts of an evaluation by name, with the looks of the policies."""
-    looks = _Looks(policies)
-    return {
-        "scores": _intervals(looks, "score", "case", f"score: {SCALE}", -1.0),
-        "steady_rmses": _steady_rmses(looks),
-        "shares": _shares(looks),
-        "bands": _bands(looks),
-        "errors": _errors(looks),
+    styles = [look(policy, policies) for policy in policies]
+    ranges: dict[str, list[Any]] = {
+        "color": [style.colour for style in styles],
+        "strokeDash": [list(DASHES[style.dash][1]) or [1, 0] for style in styles],
+        "shape": [OUTLINES[style.marker] for style in styles],
     }
-
-
-class _Looks:
-    """The scales for colour, dash pattern and marker of each policy."""
-
-    def __init__(self, policies: Sequence[str]) -> None:
-        own = [look(policy, policies) for policy in policies]
-        names = list(policies)
-        self.colour = _scale(names, [x.colour for x in own])
-        self.dash = _scale(names, [list(DASHES[x.dash][1]) or [1, 0] for x in own])
-        self.shape = _scale(names, [OUTLINES[x.marker] for x in own])
-
-    def of(self, *channels: str) -> Spec:
-        """Return the encoding of the policy in these channels, without a legend, since the leaderboard is one."""
-        scales = {"color": self.colour, "strokeDash": self.dash, "shape": self.shape}
-        return {
-            name: {"field": "policy", "type": "nominal", "scale": scales[name], "legend": None} for name in channels
+    looks = {  # the encoding of the policy in each channel, without a legend, since the leaderboard is one
+        channel: {
+            "field": "policy", "type": "nominal", "scale": {"domain": list(policies), "range": values}, "legend": None,
         }
-
-
-def _scale(names: list[str], values: list[Any]) -> Spec:
-    return {"domain": names, "range": values}
+        for channel, values in ranges.items()
+    }  # fmt: skip
+    colour, dash, shape = ({channel: looks[channel]} for channel in ranges)
+    return {
+        "scores": _scores(colour, colour | shape),
+        "steady_rmses": _steady_rmses(colour, colour | shape),
+        "shares": _shares(colour | dash),
+        "bands": _bands(colour, colour | dash),
+        "errors": _errors(colour | dash),
+    }
 
 
 def _number(field: str, title: str | None = None, log: bool = False, **scale: Any) -> Spec:
@@ -57,38 +47,36 @@ def _number(field: str, title: str | None = None, log: bool = False, **scale: An
     return {"field": field, "type": "quantitative", "axis": axis, "scale": scales}
 
 
-def _tooltip(*fields: tuple[str, str]) -> list[Spec]:
-    """Return the tooltip of a mark."""
-    return [{"field": field, "title": title} for field, title in fields]
+def _tooltip(**titles: str) -> list[Spec]:
+    """Return the tooltip of a mark from the titles of its fields."""
+    return [{"field": field, "title": title} for field, title in titles.items()]
 
 
 def _frame(layer: list[Spec], **more: Any) -> Spec:
-    return {"data": _ROWS, "width": "container", "layer": layer, **more}
+    """Return a chart with the data set that the page fills."""
+    return {"data": {"name": "rows"}, "width": "container", "layer": layer, **more}
 
 
-def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
-    """Return the chart of a value of each policy with its interval, with a group of rows for each case."""
-    tooltip = _tooltip(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
-    x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
-    bands = {"title": None, "grid": True, "tickBand": "extent"}
+def _scores(colour: Spec, point: Spec) -> Spec:
+    """Return the chart of the score of each policy with its interval, with a group of rows for each case."""
+    tooltip = _tooltip(policy="policy", case="case", text="score", failed="failed")
+    limits: Spec = {"domainMin": {"expr": "max(-1, least)"}, "domainMax": 1.05, "nice": False}
+    x, bands = _number("value", f"score: {SCALE}", **limits), {"title": None, "grid": True, "tickBand": "extent"}
     place = {
-        "y": {"field": group, "type": "nominal", "sort": None, "axis": bands},
+        "y": {"field": "case", "type": "nominal", "sort": None, "axis": bands},
         "yOffset": {"field": "policy", "type": "nominal", "sort": None, "scale": {"paddingOuter": 0.4}},
     }
-    lines = [{"datum": at} for at in (0.0, 1.0)]
+    guide = {"type": "rule", "color": GUIDE_COLOUR, "strokeWidth": 1}
     return _frame(
         [
-            *(
-                {"mark": {"type": "rule", "color": GUIDE_COLOUR, "strokeWidth": 1}, "encoding": {"x": line}}
-                for line in lines
-            ),
+            *({"mark": guide, "encoding": {"x": {"datum": at}}} for at in (0.0, 1.0)),
             {
                 "mark": {"type": "rule", "strokeWidth": 2.2, "clip": True},
-                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, **place, **looks.of("color")},
+                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, **place, **colour},
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 42, "opacity": 1, "clip": True},
-                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": tooltip},
+                "encoding": {"x": x, **place, **point, "tooltip": tooltip},
             },
         ],
         params=[{"name": "least", "value": -0.1}],
@@ -96,27 +84,27 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
     )
 
 
-def _steady_rmses(looks: _Looks) -> Spec:
+def _steady_rmses(colour: Spec, point: Spec) -> Spec:
     """Return the chart of the mean steady-state error of each policy in a scenario, with its interval."""
-    tooltip = _tooltip(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
+    tooltip = _tooltip(policy="policy", text="steady-state RMSE [m]", failed="failed")
     x = _number("value", "mean steady-state error [m], 95 % interval", log=True)
     y = {"field": "policy", "type": "nominal", "sort": None, "axis": {"title": None, "labelLimit": 150, "grid": True}}
     return _frame(
         [
             {
                 "mark": {"type": "rule", "strokeWidth": 2.2},
-                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, "y": y, **looks.of("color")},
+                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, "y": y, **colour},
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 55, "opacity": 1},
-                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": tooltip},
+                "encoding": {"x": x, "y": y, **point, "tooltip": tooltip},
             },
         ],
         height={"step": 19},
     )
 
 
-def _shares(looks: _Looks) -> Spec:
+def _shares(line: Spec) -> Spec:
     """Return the chart of the cumulative distribution of the steady-state error over the episodes of a scenario."""
     share = {"axis": {"title": "share of the episodes", "format": "%", "tickCount": 5}, "scale": {"domain": [0, 1]}}
     return _frame(
@@ -127,57 +115,43 @@ def _shares(looks: _Looks) -> Spec:
                     "x": _number("steady_rmse", "steady-state error of an episode [m]; dotted: error cap", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
                     "tooltip": _POLICY_TOOLTIP,
-                    **looks.of("color", "strokeDash"),
+                    **line,
                 },
             },
-            {
-                "data": {"name": "caps"},
-                "mark": {"type": "rule", "strokeDash": [2, 3], "color": GUIDE_COLOUR},
-                "encoding": {"x": {"field": "cap", "type": "quantitative"}},
-            },
+            {"data": {"name": "caps"}, "mark": _DOTTED, "encoding": {"x": {"field": "cap", "type": "quantitative"}}},
         ],
         height=300,
     )
 
 
-def _bands(looks: _Looks) -> Spec:
+def _bands(colour: Spec, line: Spec) -> Spec:
     """Return the chart of the position error over time: median and band of the episodes."""
     t = _number("t", "time [s]; dotted: a third of the episode", zero=True, nice=False)
-    error = _number("middle", "position error [m]", log=True, clamp=True)
+    error, third = _number("middle", "position error [m]", log=True, clamp=True), {"field": "t", "type": "quantitative"}
     return _frame(
         [
             {
                 "mark": {"type": "area", "opacity": 0.16},
-                "encoding": {"x": t, "y": {**error, "field": "low"}, "y2": {"field": "high"}, **looks.of("color")},
+                "encoding": {"x": t, "y": {**error, "field": "low"}, "y2": {"field": "high"}, **colour},
             },
-            {
-                "mark": _LINE,
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _POLICY_TOOLTIP},
-            },
-            {
-                "data": {"name": "steady_rmses"},
-                "mark": {"type": "rule", "strokeDash": [2, 3], "color": GUIDE_COLOUR},
-                "encoding": {"x": {"field": "t", "type": "quantitative"}},
-            },
+            {"mark": _LINE, "encoding": {"x": t, "y": error, **line, "tooltip": _POLICY_TOOLTIP}},
+            {"data": {"name": "steady_rmses"}, "mark": _DOTTED, "encoding": {"x": third}},
         ],
         height=260,
     )
 
 
-def _errors(looks: _Looks) -> Spec:
+def _errors(line: Spec) -> Spec:
     """Return the chart of the position error of one episode over time, with a cursor at the time of the player."""
-    t = _number("t", "time [s]", zero=True, nice=False)
-    error = _number("error", "position error [m]", log=True, clamp=True)
+    t, now = _number("t", "time [s]", zero=True, nice=False), {"datum": {"expr": "now"}, "type": "quantitative"}
+    error, cursor = _number("error", "position error [m]", log=True, clamp=True), {"color": GUIDE_COLOUR}
     return _frame(
         [
-            {
-                "mark": _LINE,
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _POLICY_TOOLTIP},
-            },
+            {"mark": _LINE, "encoding": {"x": t, "y": error, **line, "tooltip": _POLICY_TOOLTIP}},
             {
                 "data": {"values": [{}]},
-                "mark": {"type": "rule", "color": GUIDE_COLOUR, "strokeWidth": 1.5},
-                "encoding": {"x": {"datum": {"expr": "now"}, "type": "quantitative"}},
+                "mark": {"type": "rule", "strokeWidth": 1.5, **cursor},
+                "encoding": {"x": now},
             },
         ],
         params=[{"name": "now", "value": 0}],

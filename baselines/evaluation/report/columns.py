@@ -111,8 +111,7 @@ COLUMNS = (
            lambda e, _: e.to_best and list(e.to_best.ci95)),
     Column("score.mean", "score",
            "(E_0 - E_policy) / (E_0 - E_1), E the mean steady-state error in the same episodes: 0 is the paper's "
-           f"law, 1 in benchmark-v2 the full-information optimum, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
-           "regulator that knows vehicle and disturbances; errors are averaged over cases before the division",
+           f"law, 1 the full-information optimum, {OPTIMUM_POLICY}; errors are averaged over cases before the division",
            lambda e, _: e.score and e.score.mean, fixed, 7),
     Column("score.ci95", "95 % of score", "95 % bootstrap interval of the score over paired episodes",
            lambda e, _: e.score and list(e.score.ci95), fixed_ends, 5),

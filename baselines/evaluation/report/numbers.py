@@ -14,9 +14,9 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     EXPERT,
     FULL_INFORMATION,
+    OPTIMUM_POLICY,
     RIVAL,
     VEHICLE_MARK,
-    Anchors,
     Score,
     capped,
     count_failures,
@@ -49,7 +49,7 @@ class Entry:
     summary: Summary | None = None  # None: the policy failed
     effort_ratio: float = math.nan  # effort over the expert's; nan without the expert
     smoothness_ratio: float = math.nan  # smoothness over the expert's; nan without the expert
-    score: Score | None = None  # None: one of the anchors is missing
+    score: Score | None = None  # None: the expert or the optimum is missing
     capped: Score | None = None  # the score with steady-state errors of at most the error cap
     failed: int = 0  # number of failed episodes, see `score.has_failed`
     error_ratio: float = math.nan  # mean capped steady-state error over that of `score.RIVAL`; nan without it
@@ -64,38 +64,37 @@ class Result:
     entry: Entry
 
 
-def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]:
-    """Return the result of each run; `anchors` are those of the suite, None without a suite, see `Anchors.among`."""
-    cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
-    own = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
-    entries = [_entry(run.scenario.name, [run], case, ends) for run, case in zip(runs, own, strict=True)]
+def compare(runs: Sequence[Run]) -> list[Result]:
+    """Return the result of each run."""
+    cases = measures_of(runs)
+    parts = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
+    entries = [_entry(run.scenario.name, [run], case) for run, case in zip(runs, parts, strict=True)]
     best = {name: _best([entry for entry in entries if entry.place == name]) for name in cases}
     return [
         Result(run, _to_best(entry, best[entry.place], case, unit_of(run.scenario)))
-        for run, case, entry in zip(runs, own, entries, strict=True)
+        for run, case, entry in zip(runs, parts, entries, strict=True)
     ]
 
 
-def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
-    """Return the pooled results of each policy in each speed range whose cases it ran; `anchors` as in `compare`.
+def pool(runs: Sequence[Run]) -> list[Entry]:
+    """Return the pooled results of each policy in each speed range whose cases it ran.
 
     If a speed range has several vehicles, the results of each vehicle follow.
     """
-    measures, found = measures_of(runs), []
-    ends = anchors or Anchors.among({run.policy for run in runs})
+    measures, all_entries = measures_of(runs), []
     by_policy: dict[str, list[Run]] = {}
     for run in runs:
         by_policy.setdefault(run.policy, []).append(run)
     for place, names in _places(list(measures)).items():
         cases, entries = {name: measures[name] for name in names}, []
         for policy, every in by_policy.items():
-            own = [run for run in every if run.scenario.name in cases]
-            if own and all(policy in case for case in cases.values()):
-                entries.append(_entry(place, own, cases, ends))
+            subset = [run for run in every if run.scenario.name in cases]
+            if subset and all(policy in case for case in cases.values()):
+                entries.append(_entry(place, subset, cases))
         units = {unit_of(run.scenario) for run in runs if run.scenario.name in cases}
         unit, best = units.pop() if len(units) == 1 else 1.0, _best(entries)
-        found += [_to_best(entry, best, cases, unit) for entry in entries]
-    return found
+        all_entries += [_to_best(entry, best, cases, unit) for entry in entries]
+    return all_entries
 
 
 def _best(entries: Sequence[Entry]) -> Entry | None:
@@ -109,32 +108,32 @@ def _to_best(entry: Entry, best: Entry | None, cases: Mapping[str, _Case], unit:
     if entry.summary is None or best is None or best is entry:
         return entry
     pairs = [paired(case[best.policy], case[entry.policy]) for case in cases.values()]
-    theirs, own = ([unit * m.steady_rmse for m in column] for column in zip(*pairs, strict=True))
-    return replace(entry, to_best=difference(theirs, own))
+    theirs, mine = ([unit * m.steady_rmse for m in column] for column in zip(*pairs, strict=True))
+    return replace(entry, to_best=difference(theirs, mine))
 
 
 def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
     """Return the scenarios of each speed range, and of each vehicle in it if there are several, by place."""
-    found: dict[str, list[str]] = {}
+    by_place: dict[str, list[str]] = {}
     for speed_range in SPEED_RANGES:
-        own = [name for name in scenarios if speed_range_of(name) == speed_range]
-        vehicles = list(dict.fromkeys(map(vehicle_of, own)))
-        if own:
-            found[speed_range] = own
+        names = [name for name in scenarios if speed_range_of(name) == speed_range]
+        vehicles = list(dict.fromkeys(map(vehicle_of, names)))
+        if names:
+            by_place[speed_range] = names
         for vehicle in vehicles if len(vehicles) > 1 else ():
-            found[f"{speed_range}{VEHICLE_MARK}{vehicle or _PAPER}"] = [
-                name for name in own if vehicle_of(name) == vehicle
+            by_place[f"{speed_range}{VEHICLE_MARK}{vehicle or _PAPER}"] = [
+                name for name in names if vehicle_of(name) == vehicle
             ]
-    return found
+    return by_place
 
 
-def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchors: Anchors) -> Entry:
+def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case]) -> Entry:
     """Return the results of a policy's runs, pooled over some cases."""
     policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(error_cap, by_name))
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
     if any(policy not in case for case in cases):
         return Entry(policy, place, recorded, seconds)
-    own = [case[policy] for case in cases]
+    metrics = [case[policy] for case in cases]
     effort = smoothness = math.nan
     plain = cut = None
     if all(EXPERT in case for case in cases):
@@ -144,9 +143,8 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
             ratio(float(np.mean(getattr(mine, key))), float(np.mean(getattr(experts, key))))
             for key in ("effort", "smoothness")
         )
-    zero, one = anchors
-    if all(zero in case and one in case for case in cases):
-        three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
+    if all(EXPERT in case and OPTIMUM_POLICY in case for case in cases):
+        three = list(zip(*(paired(c[EXPERT], c[policy], c[OPTIMUM_POLICY]) for c in cases), strict=True))
         plain = score(*([m.steady_rmse for m in column] for column in three))
         cut = score(*(list(map(capped, column, caps)) for column in three))
     error_ratio = math.nan
@@ -154,26 +152,26 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
         error_ratio = ratio(*(float(np.concatenate(list(map(capped, column, caps))).mean()) for column in columns))
     plainly = {run.scenario.name: run.measures for run in runs if run.measures is not None}
-    shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else own
-    failed, summary = sum(map(count_failures, own, caps)), summarise(Measures.joined(shown), interval=len(own) == 1)
+    shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else metrics
+    failed, summary = sum(map(count_failures, metrics, caps)), summarise(Measures.joined(shown), len(metrics) == 1)
     return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, failed, error_ratio)
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
     """Return the metrics in metres of the paper's vehicle, by scenario and policy, without failed runs."""
-    found: dict[str, dict[str, Measures]] = {}
+    by_scenario: dict[str, dict[str, Measures]] = {}
     for run in runs:
-        case = found.setdefault(run.scenario.name, {})
+        case = by_scenario.setdefault(run.scenario.name, {})
         if run.measures is not None:
             case[run.policy] = in_paper_metres(run.measures, run.scenario)
-    return found
+    return by_scenario
 
 
 def recordings(results: Sequence[Result]) -> str:
     """Return a text with the policies, dates and versions of recorded rows; "" without recorded rows."""
-    found: dict[str, list[str]] = {}
+    by_date: dict[str, list[str]] = {}
     for result in results:
         if result.run.recorded is not None:
-            policies = found.setdefault(str(result.run.recorded), [])
+            policies = by_date.setdefault(str(result.run.recorded), [])
             policies += [result.run.policy] if result.run.policy not in policies else []
-    return "; ".join(f"{', '.join(policies)} ({when})" for when, policies in found.items())
+    return "; ".join(f"{', '.join(policies)} ({when})" for when, policies in by_date.items())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from baselines.evaluation.report.charts import charts
 from baselines.evaluation.report.columns import digits, ends, failures_text, ranked
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.rollout import TRACED
-from baselines.evaluation.score import ERROR_CAPS, EXPERT, OPTIMUM_POLICY, cap_key, fixed, fixed_ends, speed_range_of
+from baselines.evaluation.score import ERROR_CAPS, EXPERT, OPTIMUM_POLICY, fixed, fixed_ends, speed_range_of
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 FEW = 10
@@ -33,35 +33,26 @@ LARGEST_TRACES = 60_000
 
 
 def page_data(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, Any]:
-    """Return the data of an evaluation's page."""
-    done = [result for result in results if result.entry.summary is not None]
-    policies = list(dict.fromkeys(result.run.policy for result in done))
-    shown, scenarios = at_first(done, pooled), by_scenario(done)
+    """Return the data of an evaluation's page, from the results without failed runs."""
+    policies = list(dict.fromkeys(result.run.policy for result in results))
+    shown, traced = at_first(results, pooled), _traced(results)
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.run.scenario.name, []).append(result)
+    scenarios = [_scenario(group[0].run.scenario, group, traced) for group in groups.values()]
+    hardest = [group[0].entry.summary for group in groups.values()]  # of the first policy, the expert
     return {
         "policies": [{"name": policy, **look_of(policy, policies), "on": policy in shown} for policy in policies],
         "charts": charts(policies),
-        "first": max(range(len(scenarios)), key=lambda i: _worst(scenarios[i][1]), default=0),
-        "scenarios": [_scenario(scenario, own, _traced(done)) for scenario, own in scenarios],
+        "first": int(np.argmax([summary.steady_rmse_m.mean for summary in hardest if summary] or [0])),
+        "scenarios": scenarios,
     }
-
-
-def _worst(results: Sequence[Result]) -> float:
-    """Return the mean steady-state error [m] of the first policy, the expert; the page opens where it is largest."""
-    return results[0].entry.summary.steady_rmse_m.mean if results[0].entry.summary else 0.0
 
 
 def look_of(policy: str, policies: Sequence[str]) -> dict[str, Any]:
     """Return a policy's look for the page: colour, dash pattern in pixels, outline of the marker."""
-    own = look(policy, policies)
-    return {"colour": own.colour, "dash": list(DASHES[own.dash][1]), "outline": OUTLINES[own.marker]}
-
-
-def by_scenario(results: Iterable[Result]) -> list[tuple[Scenario, list[Result]]]:
-    """Return each scenario with its results, in the order of the results."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.run.scenario.name, []).append(result)
-    return [(own[0].run.scenario, own) for own in groups.values()]
+    style = look(policy, policies)
+    return {"colour": style.colour, "dash": list(DASHES[style.dash][1]), "outline": OUTLINES[style.marker]}
 
 
 def at_first(results: Sequence[Result], pooled: Sequence[Entry]) -> set[str]:
@@ -91,7 +82,7 @@ def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dic
         "speed_range": speed_range,
         "case": scenario.name.removeprefix(f"{speed_range}-"),
         "duration": scenario.duration,
-        "cap": ERROR_CAPS.get(cap_key(scenario.name) or ""),
+        "cap": ERROR_CAPS.get(speed_range or ""),
         "rows": [_row(entry, results) for entry in ranked([result.entry for result in results])],
         "bands": [_band(result, scenario) for result in results if result.run.bands is not None],
         "episodes": [_episode(results, scenario, i) for i in range(min(traced, known))],
@@ -137,9 +128,9 @@ def _distribution(values: Array) -> list[list[float]]:
 def _band(result: Result, scenario: Scenario) -> dict[str, Any]:
     """Return the band of the position error over time, at `INSTANTS` times or fewer."""
     assert result.run.bands is not None
-    kept = _kept(result.run.bands.shape[1], INSTANTS)
-    low, middle, high = (_shortened(np.maximum(row[kept], _LEAST)) for row in result.run.bands)
-    t = _shortened(scenario.control_dt * (kept + 1))
+    instants = _kept(result.run.bands.shape[1], INSTANTS)
+    low, middle, high = (_shortened(np.maximum(row[instants], _LEAST)) for row in result.run.bands)
+    t = _shortened(scenario.control_dt * (instants + 1))
     return {"policy": result.run.policy, "t": t, "low": low, "middle": middle, "high": high}
 
 
@@ -147,26 +138,26 @@ def _episode(results: Sequence[Result], scenario: Scenario, i: int) -> dict[str,
     """Return the i-th episode for the player: the reference, and trajectory, error and current of each policy."""
     tracks = {r.run.policy: r.run.tracks[i] for r in results if len(r.run.tracks) > i}
     longest = max(tracks.values(), key=lambda track: len(track.position))
-    kept = _kept(len(longest.position), FRAMES)
+    instants = _kept(len(longest.position), FRAMES)
     return {
-        "dt": scenario.control_dt * float(kept[1] - kept[0]) if len(kept) > 1 else scenario.control_dt,
-        "reference": _pose(longest.reference, longest.heading[:, 1], kept),
-        "vehicles": [{"policy": policy, **_vehicle(track, kept)} for policy, track in tracks.items()],
+        "dt": scenario.control_dt * float(instants[1] - instants[0]) if len(instants) > 1 else scenario.control_dt,
+        "reference": _pose(longest.reference, longest.heading[:, 1], instants),
+        "vehicles": [{"policy": policy, **_vehicle(track, instants)} for policy, track in tracks.items()],
     }
 
 
-def _vehicle(track: Track, kept: Array) -> dict[str, Any]:
-    own = kept[kept < len(track.position)]
-    current = [_shortened(row, 2) for row in track.current[own].T]
-    pose = _pose(track.position, track.heading[:, 0], own)
+def _vehicle(track: Track, instants: Array) -> dict[str, Any]:
+    shown = instants[instants < len(track.position)]
+    current = [_shortened(row, 2) for row in track.current[shown].T]
+    pose = _pose(track.position, track.heading[:, 0], shown)
     still = not np.any(track.current)
-    return {**pose, "error": _shortened(np.maximum(track.error[own], _LEAST)), "current": None if still else current}
+    return {**pose, "error": _shortened(np.maximum(track.error[shown], _LEAST)), "current": None if still else current}
 
 
-def _pose(position: Array, heading: Array, kept: Array) -> dict[str, Any]:
+def _pose(position: Array, heading: Array, instants: Array) -> dict[str, Any]:
     """Return positions in centimetres and headings in hundredths of a radian, as integers."""
-    x, y = np.round(100 * position[kept].T).astype(int).tolist()
-    return {"x": x, "y": y, "psi": np.round(100 * heading[kept]).astype(int).tolist()}
+    x, y = np.round(100 * position[instants].T).astype(int).tolist()
+    return {"x": x, "y": y, "psi": np.round(100 * heading[instants]).astype(int).tolist()}
 
 
 def _kept(count: int, most: int) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.rows import flatten, unflatten
-from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETERS, Coefficients, Vehicle, with_names
+from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Coefficients, with_names
 from auv_gym.task import simulation
 from auv_gym.task.observation import Observation, action_of, decode, encode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
@@ -112,7 +112,7 @@ class ClosedLoop:
             known: the nominal models, `known_rows` of them.
         """
         o = Observation._make(decode(observation, ns))
-        preview = preview_columns(ahead, o, ns, self.parts.span)
+        preview = preview_columns(ahead, o, ns, self.parts.bound_factor)
         return self.inputs.update(o, preview, base, correction, integrals, ns, with_names(known))
 
     def move(
@@ -144,18 +144,18 @@ class ClosedLoop:
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(flatten(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, step_loss)
+        return Moved(flatten(plant), tuple(encode(terms, ns, self.parts.bound_factor)), squared_error, step_loss)
 
 
 def known_rows(parts: Parts) -> int:
     """Return the number of rows of nominal models: `Vehicle.all_coefficients`, with cross terms if any vehicle has."""
-    return len(PARAMETERS) if parts.crossed else len(Coefficients._fields)
+    return len(PARAMETER_NAMES) if parts.crossed else len(Coefficients._fields)
 
 
 def with_model(expert: Backstepping, known: Coefficients) -> Forces:
     """Return the law of an expert with another nominal model, whose numbers may be symbols."""
     law = copy.copy(expert)
-    law.vehicle = cast(Vehicle, known)  # it has the same fields
+    vars(law)["vehicle"] = known  # not checked: it has the fields of a vehicle
     return law.forces
 
 

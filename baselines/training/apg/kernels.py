@@ -75,18 +75,9 @@ class LoopKernels:
     def observe(self) -> Kernel:
         """The kernel of features and expert's action, from observation, preview, last correction and integrals."""
 
-        def equation(
-            observation: _Symbols,
-            correction: _Symbols,
-            integrals: _Symbols,
-            ahead: _Symbols,
-            base: _Symbols = (),
-            known: _Symbols = (),
-        ) -> _Results:
-            action = base or self.loop.expert(observation, SYMBOLS, known or _PAPER)
-            seen = (observation, ahead, action, correction, integrals)
-            features, following = self.loop.features(*seen, SYMBOLS, known or _PAPER)
-            return {"features": features, "following": following, **({} if base else {"base": action})}
+        def equation(**arrays: _Symbols) -> _Results:
+            action, features, following = self._observed(**arrays)
+            return {"features": features, "following": following, **({} if "base" in arrays else {"base": action})}
 
         return self._traced(equation, self.seen if self.exact else self.seen | {"base": OUTPUTS})
 
@@ -94,30 +85,20 @@ class LoopKernels:
     def observe_adjoint(self) -> Kernel:
         """The adjoint of `observe`, from the derivatives of its results to those of its inputs."""
 
-        def equation(
-            observation: _Symbols,
-            correction: _Symbols,
-            integrals: _Symbols,
-            ahead: _Symbols,
-            base: _Symbols,
-            d_features: _Symbols,
-            d_base: _Symbols,
-            d_integrals: _Symbols,
-            known: _Symbols = (),
-        ) -> _Results:
-            given = (observation, ahead, base, correction, integrals)
-            features, following = self.loop.features(*given, SYMBOLS, known or _PAPER)
-            seen = [observation[i] for i in STEERED]
-            within = (*seen, *correction, *integrals, *base)
+        def equation(d_features: _Symbols, d_base: _Symbols, d_integrals: _Symbols, **arrays: _Symbols) -> _Results:
+            _, features, following = self._observed(**arrays)
+            observation = arrays["observation"]
+            steered = [observation[i] for i in STEERED]
+            within = (*steered, *arrays["correction"], *arrays["integrals"], *arrays["base"])
             shares = _split(
                 gradient((*features, *following), (*d_features, *d_integrals), within),
-                len(seen), OUTPUTS, self.loop.inputs.memory, OUTPUTS,
+                len(steered), OUTPUTS, self.loop.inputs.memory, OUTPUTS,
             )  # fmt: skip
-            action = self.loop.expert(observation, SYMBOLS, known or _PAPER)
-            through_law = gradient(action, _sum(d_base, shares[3]), seen)
-            steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through_law), strict=True))
+            action = self.loop.expert(observation, SYMBOLS, arrays.get("known", _PAPER))
+            through_law = gradient(action, _sum(d_base, shares[3]), steered)
+            terms: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through_law), strict=True))
             return {
-                "d_observation": [steered.get(i, 0.0) for i in range(SIZE)],
+                "d_observation": [terms.get(i, 0.0) for i in range(SIZE)],
                 "d_correction": shares[1],
                 "d_integrals": shares[2],
             }
@@ -166,6 +147,19 @@ class LoopKernels:
         inputs = self.loop.inputs
         known = {"known": known_rows(self.loop.parts)} if inputs.nominal_vehicle else {}
         return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
+
+    def _observed(
+        self,
+        observation: _Symbols,
+        correction: _Symbols,
+        integrals: _Symbols,
+        ahead: _Symbols,
+        base: _Symbols = (),
+        known: _Symbols = _PAPER,
+    ) -> tuple[_Symbols, _Symbols, _Symbols]:
+        """Return the expert's action, which is `base` if it is an input, the features, and their new memory."""
+        action = base or self.loop.expert(observation, SYMBOLS, known)
+        return action, *self.loop.features(observation, ahead, action, correction, integrals, SYMBOLS, known)
 
     def _moved(
         self,

@@ -98,7 +98,7 @@ class Settings:
         fast = np.array([speed_range_of(name) == "cruise" for name in names])
         cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
         pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
-        loss = Loss(*(np.where(fast, slow if own is None else own, slow) for slow, own in pairs))
+        loss = Loss(*(np.where(fast, slow if at_cruise is None else at_cruise, slow) for slow, at_cruise in pairs))
         both = fast.any() and not fast.all()
         share = np.where(fast, self.cruise_share / max(1, fast.sum()), (1 - self.cruise_share) / max(1, (~fast).sum()))
         shares = share if both else np.ones(len(fast))

@@ -7,19 +7,22 @@ tracking error itself; there is no value function, no exploration and no reward.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import closing
+from functools import reduce
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from baselines.agents.agent import Agent
 from baselines.agents.networks import Weights
-from baselines.training.apg.groups import Groups
+from baselines.tools.workers import ProcessObjects
+from baselines.training.apg.network import put, torch_network, weights_of
 from baselines.training.apg.settings import check
-from baselines.training.apg.torch_network import put, torch_network, weights_of
+from baselines.training.apg.vehicle_group import VehicleGroup, WindowGradient, divided
 from baselines.training.initial_agent import loaded
 from baselines.training.run_folder import RunFolder, TrainingError
 
@@ -34,23 +37,29 @@ def train(run: RunFolder) -> Agent:
         OSError: the run's folder cannot be written to.
         TrainingError: too many consecutive gradients are not finite.
         ValueError: see `settings.check`.
+        WorkerError: a worker process has died.
     """
-    with closing(Groups(run.config, check(run.config), run.processes)) as groups:
-        return ApgTrainer(run, groups).train()
+    with closing(ApgTrainer(run)) as trainer:
+        return trainer.train()
 
 
 class ApgTrainer:
-    """Network, optimisers and vehicles of a run; it resumes from the run's checkpoint, if there is one."""
+    """Network, optimisers and vehicles of a run; it resumes from the run's checkpoint, if there is one.
 
-    def __init__(self, run: RunFolder, groups: Groups) -> None:
-        self.run, self.groups, self.settings, config = run, groups, groups.settings, run.config
+    The vehicles are in groups, which can be in several processes. The gradients do not depend on the number of
+    processes. Call `close` at the end.
+    """
+
+    def __init__(self, run: RunFolder) -> None:
+        self.run, self.settings, config = run, check(run.config), run.config
         run.keeps_last = self.settings.draws_vehicles(config.vehicle)  # the validation has the paper's vehicle only
+        state = run.load_checkpoint()
         torch.manual_seed(config.seed)
         self.network, self.total = torch_network(self.settings.network), self.settings.windows(config.timesteps)
         if config.origin:
             put(loaded(config.origin).weights, self.network)
-        kept = 1 - 1 / max(1.0, self.settings.average * self.total)
-        average = get_ema_multi_avg_fn(kept)  # type: ignore[no-untyped-call]
+        decay = 1 - 1 / max(1.0, self.settings.average * self.total)
+        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
         self.averaged = AveragedModel(self.network, multi_avg_fn=average)
         self.optimizers = self.settings.optimizers(self.network)
         self._rates = [group["lr"] for optimizer in self.optimizers for group in optimizer.param_groups]
@@ -58,7 +67,16 @@ class ApgTrainer:
         self._modules |= {f"optimizer {i}": optimizer for i, optimizer in enumerate(self.optimizers)}
         self.updates = 0  # so far
         self.skipped = 0  # consecutive updates with a gradient that was not finite
-        self._resume()
+        states = [None] * self.settings.groups
+        if state is not None:
+            with run.restoring():
+                self.updates, self.skipped, states = state["updates"], state["skipped"], state["groups"]
+                for name, part in self._modules.items():
+                    part.load_state_dict(state["modules"][name])
+        members = divided(config, self.settings)
+        arguments = [(config, self.settings, *group) for group in zip(members, states, strict=True)]
+        self.groups = ProcessObjects(VehicleGroup, arguments, run.processes)
+        self.close = self.groups.close
 
     @property
     def weights(self) -> Weights:
@@ -79,74 +97,51 @@ class ApgTrainer:
         return self.agent(self.run.weights)
 
     def update(self) -> None:
-        """Train on one window; log, validate and save a checkpoint at their intervals."""
-        learned = self.learn()
+        """Train on one window of all groups; log, validate and save a checkpoint at their intervals.
+
+        Raises:
+            TrainingError: too many consecutive gradients were not finite.
+            WorkerError: a worker process has died.
+        """
+        share = self.settings.share_at(self.updates / self.total)
+        groups = [group for optimizer in self.optimizers for group in optimizer.param_groups]
+        for group, rate in zip(groups, self._rates, strict=True):
+            group["lr"] = rate * share
+        window = summed(self.groups.call("learn", weights_of(self.network)))
+        for name, p in self.network.named_parameters():
+            p.grad = torch.from_numpy(window.gradients[name])
+        norm = self._step()
         self.updates += 1
         validates = self._due(self.settings.validations)
         if validates or self._due(LOGS):
-            self.run.log(self.timesteps, **learned)
+            self.run.log(self.timesteps, loss=window.loss, window_error_m=window.error, gradient_norm=norm)
         if validates:
             self.validate()
 
     def validate(self) -> None:
         """Validate the agent, and save a checkpoint."""
         self.run.validate(self.agent(self.weights), self.timesteps)
-        self.save()
-
-    def agent(self, weights: Weights) -> Agent:
-        """Return the agent of these weights."""
-        config, inputs = self.run.config, self.settings.inputs
-        return Agent(self.settings.network, weights, config.expert, config.authority, config.names, inputs=inputs)
-
-    def save(self) -> None:
-        """Save a checkpoint."""
         self.run.save_checkpoint(
             {
                 "timesteps": self.timesteps,
                 "updates": self.updates,
                 "skipped": self.skipped,
                 "modules": {name: part.state_dict() for name, part in self._modules.items()},
-                "vehicles": self.groups.state(),
-                "generator": torch.get_rng_state(),
+                "groups": self.groups.call("state"),
             }
         )
 
-    def _resume(self) -> None:
-        """Restore the run's checkpoint, if there is one."""
-        if (state := self.run.load_checkpoint()) is None:
-            return
-        with self.run.restoring():
-            self.updates, self.skipped = state["updates"], state["skipped"]
-            self.groups.restore(state["vehicles"])
-            for name, part in self._modules.items():
-                part.load_state_dict(state["modules"][name])
-            torch.set_rng_state(state["generator"])
-
-    def learn(self) -> Mapping[str, float]:
-        """Take an optimiser step with the gradient of a window of all groups; return the values to log."""
-        self._set_rates(self.updates / self.total)
-        learned = self.groups.learn(weights_of(self.network))
-        for name, p in self.network.named_parameters():
-            p.grad = torch.from_numpy(learned.gradients[name])
-        return {"loss": learned.loss, "window_error_m": learned.error, "gradient_norm": self._follow()}
+    def agent(self, weights: Weights) -> Agent:
+        """Return the agent of these weights."""
+        config, inputs = self.run.config, self.settings.inputs
+        return Agent(self.settings.network, weights, config.expert, config.authority, config.names, inputs=inputs)
 
     def _due(self, times: int) -> bool:
         """Return whether this update is one of `times` evenly spaced ones, of which the last is the end of the run."""
         return self.updates * times // self.total > (self.updates - 1) * times // self.total
 
-    def _set_rates(self, progress: float) -> None:
-        """Set the learning rates after a share `progress` of the run."""
-        share = self.settings.share_at(progress)
-        groups = [group for optimizer in self.optimizers for group in optimizer.param_groups]  # new ones after `resume`
-        for group, rate in zip(groups, self._rates, strict=True):
-            group["lr"] = rate * share
-
-    def _follow(self) -> float:
-        """Take an optimiser step if the network's gradient is finite, and return its norm.
-
-        Raises:
-            TrainingError: too many consecutive gradients were not finite.
-        """
+    def _step(self) -> float:
+        """Take an optimiser step if the network's gradient is finite, and return its norm."""
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):
             for optimizer in self.optimizers:
@@ -158,3 +153,12 @@ class ApgTrainer:
         else:
             self.skipped += 1
         return norm
+
+
+def summed(windows: Sequence[WindowGradient]) -> WindowGradient:
+    """Return loss, error and gradients of all groups, of which each has its share."""
+    losses, errors, gradients = zip(*windows, strict=True)
+    names = gradients[0]
+    return WindowGradient(
+        sum(losses), sum(errors), {name: reduce(np.add, [group[name] for group in gradients]) for name in names}
+    )

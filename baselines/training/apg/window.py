@@ -16,8 +16,7 @@ from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import MOVED, LoopKernels, RunConstants
-from baselines.training.apg.passes import NetworkArrays, pass_of
-from baselines.training.apg.torch_network import TorchGru, TorchMlp
+from baselines.training.apg.network import NetworkArrays, TorchGru, TorchMlp, pass_of
 
 Act = Callable[[int, AnyArray], AnyArray]
 """Returns the actions of an expert at step k for observations (SIZE, N), shape (OUTPUTS, N)."""
@@ -46,25 +45,22 @@ class Objective:
     """The objective of a window."""
 
     loss: Loss  # of a control step; its weights may have shape (N,)
-    shares: AnyArray | None = None  # weight of each vehicle in the mean loss, shape (N,); None: equal
+    shares: AnyArray  # weight of each vehicle in the mean loss, shape (N,)
     derivative_bound: float = 0.0  # of a vehicle in the backward pass, in medians over vehicles; 0: no bound
     error_exponent: float = 0.0  # see `divided_by_error`
 
     def of(self, vehicles: NDArray[np.int64]) -> Objective:
         """Return the objective of some of the vehicles, with the same shares."""
-        if self.shares is None:
-            raise ValueError("the objective has no shares, so it cannot be divided")
         loss = Loss(*(np.broadcast_to(weight, len(self.shares))[vehicles] for weight in self.loss))
         return replace(self, loss=loss, shares=self.shares[vehicles])
 
 
-class Window:
+class TrainingWindow:
     """T control steps of N vehicles in the precision of the kernels; `run` can be called repeatedly.
 
     Args:
         kernels: of the closed loop.
         network: corrects the expert; its weights may change in place between windows.
-        n: N, the number of vehicles.
         steps: T.
         authority: largest corrections of surge and yaw.
         objective: of the gradient.
@@ -74,14 +70,14 @@ class Window:
         self,
         kernels: LoopKernels,
         network: TorchGru | TorchMlp,
-        n: int,
         steps: int,
         authority: Sequence[float],
         objective: Objective,
     ) -> None:
-        self.steps, self.objective, self._type = steps, objective, np.dtype(kernels.precision)
+        self.network, self.steps, self.objective = network, steps, objective
+        self._exact, self._type = kernels.exact, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
-        features, memory = len(inputs.features), network.sizes.memory
+        features, memory, n = len(inputs.features), network.sizes.memory, len(objective.shares)
         self._carried = Carried(
             *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, OUTPUTS, memory))
         )
@@ -89,8 +85,7 @@ class Window:
             self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, OUTPUTS, 1)
         )
         self._parameters = self._zeros(MOVED["parameters"], n)
-        self._shares = np.full(n, 1 / n) if objective.shares is None else objective.shares
-        chosen = (*authority, *objective.loss, self._shares / steps)  # a `RunConstants`
+        chosen = (*authority, *objective.loss, objective.shares / steps)  # a `RunConstants`
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
         self._known = {name: self._zeros(rows, n) for name, rows in kernels.seen.items() if name == "known"}
         self._d = {
@@ -147,8 +142,8 @@ class Window:
         ahead: AnyArray,
         samples: AnyArray,
         parameters: AnyArray,
-        act: Act | None = None,
-        known: AnyArray | None = None,
+        act: Act,
+        known: AnyArray,
     ) -> tuple[float, float, Carried, AnyArray]:
         """Run the window and set the gradients of the objective with respect to the network's weights.
 
@@ -157,31 +152,31 @@ class Window:
             ahead: the preview of the network's inputs in the world [m], shape (T, 2 P, N).
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
-            act: the expert, if it is not in the kernels.
-            known: the nominal models of the vehicles, shape (`known_rows`, N), if they are inputs of the network.
+            act: the expert; it is called only if it is not in the kernels.
+            known: the nominal models of the vehicles, shape (`known_rows`, N).
 
         Returns:
             The mean loss, without `error_exponent`, the mean position error [m], the state at the end of the window,
             which the next run overwrites, and the squared position error [m^2] there, shape (N,).
         """
-        for mine, given in zip(self._carried, carried, strict=True):
-            mine[0] = given
+        for rows, first in zip(self._carried, carried, strict=True):
+            rows[0] = first
         self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
-        for mine in self._known.values():
-            mine[:] = known
+        for rows in self._known.values():
+            rows[:] = known
         with torch.no_grad():
             self._forward(act)
-            if error_exponent := self.objective.error_exponent:
-                self._chosen[_SHARE] = divided_by_error(self._shares, self._errors(), error_exponent) / self.steps
+            if exponent := self.objective.error_exponent:
+                self._chosen[_SHARE] = divided_by_error(self.objective.shares, self._errors(), exponent) / self.steps
             self._backward()
         with np.errstate(all="ignore"):  # errors of diverged vehicles may overflow
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
 
-    def _forward(self, act: Act | None) -> None:
+    def _forward(self, act: Act) -> None:
         self._pass.begin()
         for k in range(self.steps):
-            if act:
+            if not self._exact:
                 self._base[k] = act(k, self._carried.observation[k])
             self._observe(k, 1)
             self._pass.forward(k)
@@ -219,7 +214,7 @@ class Window:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
         dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
         of = self.objective.loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
-        return float(np.mean(of @ self._shares.astype(of.dtype), dtype=np.float64))
+        return float(np.mean(of @ self.objective.shares.astype(of.dtype), dtype=np.float64))
 
 
 def divided_by_error(shares: AnyArray, errors: AnyArray, error_exponent: float) -> AnyArray:

@@ -17,7 +17,7 @@ class SB3VecEnv(VecEnv):
     sub-environments: attributes and methods are those of the vector environment, the same for each.
 
     Args:
-        env: from `gym.make_vec(..., vectorization_mode="vector_entry_point")` with the NumPy back end.
+        env: a vector environment of this package, from `gym.make_vec(..., vectorization_mode="vector_entry_point")`.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:

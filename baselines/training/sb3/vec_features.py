@@ -1,7 +1,8 @@
-"""The features of a network as a `VecEnvWrapper` of Stable-Baselines3; rl_zoo3 can use it by name."""
+"""What a network is trained on: the features of the agents, and a reward with a gradient far from the reference."""
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import gymnasium as gym
@@ -13,35 +14,56 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import SIZE, decode_observation
 from baselines.agents.features import FEATURES, INTEGRALS, LARGEST_FEATURE, STANDARD
 from baselines.agents.networks import OUTPUTS
+from baselines.policy import SPEED_FLOOR, reference_speed
+
+LINEAR = 2.0  # [s] lag up to which the cost is linear; beyond, it is logarithmic, with a continuous slope
 
 
 class VecFeatures(VecEnvWrapper):
-    """Converts observations to `baselines.agents.features.FEATURES`; their memory is reset with every episode.
+    """Converts observations to `baselines.agents.features.FEATURES`, and adds a cost of the error to the reward.
 
-    At the end of an episode `terminal_observation` has the features of the last observation of the episode.
+    The memory of the features is reset with every episode. At the end of an episode `terminal_observation` has the
+    features of its last observation, and `episode` has the sum of the task's rewards and the number of steps.
+
+    The reward of the task is bounded, so its slope is small far from the reference; but large errors dominate the
+    score. With the lag t, the position error over the reference's speed, the cost is `error_weight` t up to
+    t = `LINEAR`, and `error_weight` `LINEAR` (1 + ln(t / `LINEAR`)) beyond. With a cost the end of a failed episode
+    counts as a truncation, not as a termination, because an end without further costs would be an advantage.
 
     Args:
         venv: of `UnderactuatedAUVTrackResidual-v0`; a preview for its expert is not included in the features.
+        error_weight: cost for each second of lag [1/s]; 0: no cost.
+        reward_share: factor of the task's reward. With 0 the critic learns more easily, because the effect of an
+            action on the bounded reward is small compared with the reward itself.
+        lead: time [s] by which the measured error is extrapolated with the measured velocities. An action changes the
+            velocities immediately and the position later. With a lead its effect on the reward is visible within a
+            few steps, and larger than the error of the critic.
 
     Raises:
         ValueError: `venv` is another environment.
     """
 
-    def __init__(self, venv: VecEnv) -> None:
+    def __init__(self, venv: VecEnv, error_weight: float = 0.0, reward_share: float = 1.0, lead: float = 1.0) -> None:
         shape = venv.observation_space.shape or ()
         if len(shape) != 1 or shape[0] < SIZE + OUTPUTS:
             allowed = f"({SIZE + OUTPUTS},), or more with a preview"
             raise ValueError(f"observations have shape {shape}; those of the residual environment have {allowed}")
         space = gym.spaces.Box(-LARGEST_FEATURE, LARGEST_FEATURE, (len(FEATURES),), np.float32)
         super().__init__(venv, observation_space=space)
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, OUTPUTS))
+        self.error_weight, self.reward_share, self.lead = error_weight, reward_share, lead
+        self._start()
+
+    def _start(self) -> None:
+        """Set the memory of new episodes everywhere."""
+        n = self.num_envs
+        self._integrals, self._correction = np.zeros((n, INTEGRALS)), np.zeros((n, OUTPUTS))
+        self._returns, self._lengths = np.zeros(n, dtype=np.float32), np.zeros(n, dtype=np.int64)
+        self._speed = np.full(n, SPEED_FLOOR)  # [m/s] of the reference at the last control instant
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode everywhere; return the features, shape (N, features)."""
-        observation = np.asarray(self.venv.reset())
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, OUTPUTS))
-        features, self._integrals = _features(observation, self._correction, self._integrals)
-        return features
+        self._start()
+        return self._observed(np.asarray(self.venv.reset()))
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Pass the corrections, shape (N, 2), to the environment, and store them for the features."""
@@ -49,15 +71,48 @@ class VecFeatures(VecEnvWrapper):
         self.venv.step_async(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance every vehicle; return features, rewards, dones and infos."""
+        """Advance every vehicle; return features, rewards minus costs, dones and infos."""
         observation, reward, done, infos = self.venv.step_wait()
+        self._returns += reward
+        self._lengths += 1
+        reached = np.array(observation)  # at the end of the step, also where the next episode has begun
         for i in done.nonzero()[0].tolist():
-            last = np.asarray(infos[i]["terminal_observation"])[None]
-            features, _ = _features(last, self._correction[i : i + 1], self._integrals[i : i + 1])
-            infos[i]["terminal_observation"] = features[0]
-        self._correction[done], self._integrals[done] = 0.0, 0.0
-        features, self._integrals = _features(np.asarray(observation), self._correction, self._integrals)
-        return features, reward, done, infos
+            reached[i] = infos[i]["terminal_observation"]
+            last, _ = _features(reached[i : i + 1], self._correction[i : i + 1], self._integrals[i : i + 1])
+            infos[i]["terminal_observation"] = last[0]
+            infos[i]["episode"] = {"r": self._returns[i], "l": self._lengths[i]}
+            if self.error_weight:
+                infos[i]["TimeLimit.truncated"] = True
+        if self.error_weight:
+            lag = self._error(reached) / self._speed
+            cost = np.minimum(lag, LINEAR) + LINEAR * np.log(np.maximum(lag / LINEAR, 1.0))
+            reward = (self.reward_share * reward - self.error_weight * cost).astype(np.float32)
+        for memory in (self._integrals, self._correction, self._returns, self._lengths):
+            memory[done] = 0
+        return self._observed(np.asarray(observation)), reward, done, infos
+
+    def _observed(self, observation: Array) -> NDArray[np.float32]:
+        """Return the features of observations, and store the memory and the reference's speed for the next step."""
+        o = decode_observation(observation)
+        self._speed = reference_speed(o.u_R, o.v_R, ARRAYS)
+        features, self._integrals = _features(observation, self._correction, self._integrals)
+        return features
+
+    def _error(self, observation: Array) -> Array:
+        """Return the extrapolated position errors [m], shape (N,)."""
+        o = decode_observation(observation)
+        # Velocity errors are differences of components, each in its own body frame; psi_e is the angle between them.
+        c, s = np.cos(o.psi_e) - 1.0, np.sin(o.psi_e)
+        ahead = o.e_x + self.lead * (o.u_e - c * o.u_R - s * o.v_R)
+        aside = o.e_y + self.lead * (o.v_e + s * o.u_R - c * o.v_R)
+        error: Array = np.hypot(ahead, aside)
+        return error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, class_attributes=dict(inspect.getmembers(type(self))))
 
 
 def _features(observation: Array, correction: Array, integrals: Array) -> tuple[NDArray[np.float32], Array]:

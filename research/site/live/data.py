@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.envs.sub_environments import plan_of, reference_tables
-from auv_gym.physics.intervals import Interval
 from auv_gym.physics.rows import flatten
 from auv_gym.planning.paths import PATHS, Path
 from auv_gym.scenarios.episode import Episode
@@ -37,7 +35,7 @@ from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
 from baselines.estimation.sea_model import PLACE
 from baselines.export.parts import Exported
 from baselines.gains.loading import load_gains
-from baselines.tools.figure_style import look
+from baselines.tools.figure_style import COLOURS
 from research.site.live.equations import COMPONENTS, shape_of
 
 _SPEEDS = {"slow": 0.2, "cruise": 1.0}
@@ -61,11 +59,7 @@ _VEHICLES = {"plain": "calm", "mismatch": "mismatch", "actuator": "actuator", "b
 
 
 def data(agents: Mapping[str, Exported]) -> str:
-    """Return the script that defines the page's object `DATA`.
-
-    Args:
-        agents: agents by name.
-    """
+    """Return the script that defines the page's object `DATA`, with some agents by name."""
     ahead = max((max(agent.preview, default=0) for agent in agents.values()), default=0)
     record = {
         "steps": LIVE_STEPS,
@@ -79,17 +73,22 @@ def data(agents: Mapping[str, Exported]) -> str:
             "normals": NORMALS,
             "waveRows": WAVE_ROWS,
         },
-        "at": {"plant": places(PLANT), "sample": places(SAMPLE), "weather": places(WEATHER), "estimate": places(PLACE)},
+        "at": {
+            "plant": _places(PLANT),
+            "sample": _places(SAMPLE),
+            "weather": _places(WEATHER),
+            "estimate": _places(PLACE),
+        },
         "limits": [PARAMETERS.F_u_max, PARAMETERS.F_r_max],
         "measured": [MEASUREMENT_NORMALS.start, MEASUREMENT_NORMALS.stop],
-        "speed_ranges": {speed_range: speed_range_record(speed_range, ahead) for speed_range in SPEED_RANGES},
-        "agents": {name: agent_record(agent) for name, agent in agents.items()},
-        "colours": {name: look(name, ()).colour for name in ("backstepping", "ekf", "open-loop", *agents)},
+        "speed_ranges": {speed_range: _speed_range(speed_range, ahead) for speed_range in SPEED_RANGES},
+        "agents": {name: _agent(agent) for name, agent in agents.items()},
+        "colours": dict(zip(("backstepping", "ekf", "open-loop", *agents), COLOURS, strict=False)),
     }
     return f'"use strict";\nconst DATA = {json.dumps(record, separators=(",", ":"), allow_nan=False)};\n'
 
 
-def places(row: Any) -> dict[str, int]:
+def _places(row: Any) -> dict[str, int]:
     """Return the index of each field of a row, by name; of a nested field the index of its first number."""
     return {name: place if isinstance(place, int) else flatten(place)[0] for name, place in row._asdict().items()}
 
@@ -112,56 +111,45 @@ def episode_of(speed_range: str, case: str, path: Path, seed: int) -> Episode:
     return scenario_of(speed_range, case, path).draw(np.random.default_rng([seed, 1]))
 
 
-def speed_range_record(speed_range: str, ahead: int) -> dict[str, Any]:
+def _speed_range(speed_range: str, ahead: int) -> dict[str, Any]:
     """Return the data of a speed range, with the references up to `ahead` control periods beyond the end."""
     calm = PRESETS[f"{speed_range}-calm"]
     paths = {family: path_of(speed_range, family) for family in _FAMILIES}
-    line = paths["line"]
     return {
         "dt": calm.control_dt,
         "speed": _SPEEDS[speed_range],
         "errorScale": calm.error_scale,
         "failed": calm.lost_distance,
-        "cases": {case: case_record(speed_range, case) for case in CASES},
-        "seeds": [seed_record(speed_range, line, seed) for seed in range(_SEEDS)],
-        "paths": {
-            family: {"title": TITLES[family], **path_record(speed_range, path, ahead)} for family, path in paths.items()
-        },
-        "ekf": ekf_record(speed_range),
+        "cases": {case: _case(speed_range, case) for case in CASES},
+        "seeds": [_seed(speed_range, paths["line"], seed) for seed in range(_SEEDS)],
+        "paths": {name: {"title": TITLES[name]} | _path(speed_range, path, ahead) for name, path in paths.items()},
+        "ekf": _ekf(speed_range),
     }
 
 
-def _table(speed_range: str, path: Path) -> Any:
-    scenario = scenario_of(speed_range, "actuator", path)  # it has the tightest limits
-    episode = episode_of(speed_range, "actuator", path, 0)
-    return reference_tables([episode], *plan_of(replace(scenario, steps=LIVE_STEPS)))[0]
-
-
-def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
+def _path(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     """Return the reference table of a path and its positions after the end, in double precision as base64."""
-    table = _table(speed_range, path)
+    tightest = scenario_of(speed_range, "actuator", path)  # it has the tightest limits
+    table = replace(tightest, steps=LIVE_STEPS).planner.table(path)
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
-    beyond = table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0]
-    storm = PRESETS[f"{speed_range}-storm"]
-    current = episode_of(speed_range, "storm", path, 0).current
-    weather = weather_of(
-        current, storm.control_dt, least_speed([table]), Errors(*storm.sensors.noise), Errors(*[0.0] * 6)
-    )
+    storm, current = PRESETS[f"{speed_range}-storm"], episode_of(speed_range, "storm", path, 0).current
+    noise = Errors(*storm.sensors.noise)
+    weather = weather_of(current, storm.control_dt, least_speed([table]), noise, Errors(*[0.0] * 6))
     return {
-        "table": encoded(table, np.float64),
-        "beyond": encoded(beyond, np.float64),
+        "table": _encoded(table, np.float64),
+        "beyond": _encoded(table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0], np.float64),
         "weather": flatten(weather),  # the largest values; the controls of the page scale them
     }
 
 
-def case_record(speed_range: str, case: str) -> dict[str, Any]:
+def _case(speed_range: str, case: str) -> dict[str, Any]:
     """Return the settings of the controls for a case: centres of its intervals, relative to the speed of the path."""
     scenario, mean = PRESETS[f"{speed_range}-{case}"], PRESETS[f"{speed_range}-waves"].waves
     current, waves = scenario.current, scenario.waves
     assert mean is not None
     return {
-        "current": _middle(current.speed) if current else 0.0,
+        "current": float(np.mean(current.speed)) if current else 0.0,
         "gust": current.gust if current else 0.0,
         "waves": waves.surge / mean.surge if waves else 0.0,
         "noise": 1.0 if any(scenario.sensors.noise) else 0.0,
@@ -170,33 +158,24 @@ def case_record(speed_range: str, case: str) -> dict[str, Any]:
     }
 
 
-def _middle(interval: Interval) -> float:
-    return sum(interval) / 2 if isinstance(interval, tuple) else float(interval)
-
-
-def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
+def _seed(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
     """Return an episode of a speed range: its vehicles, the waves at full height, its start and current direction."""
-    waves = episode_of(speed_range, "waves", path, seed).waves
-    calm = episode_of(speed_range, "calm", path, seed)
-    components = wave_components(waves, PRESETS[f"{speed_range}-waves"].control_dt).ravel()
+    waves, calm = (episode_of(speed_range, case, path, seed) for case in ("waves", "calm"))
+    components = wave_components(waves.waves, PRESETS[f"{speed_range}-waves"].control_dt).ravel()
     assert len(components) == COMPONENTS * WAVE_ROWS
+    vehicles = {}
+    for name, case in _VEHICLES.items():
+        parameters = scenario_of(speed_range, case, path).parameters(episode_of(speed_range, case, path, seed))
+        vehicles[name] = np.nan_to_num(np.array(flatten(parameters)), posinf=np.finfo(float).max).tolist()
     return {
-        "vehicles": {name: _constants(speed_range, case, path, seed) for name, case in _VEHICLES.items()},
+        "vehicles": vehicles,  # infinite parameters are the largest finite number
         "waves": components.tolist(),
         "start": [*calm.initial_error, calm.surge],
         "direction": float(np.random.default_rng([seed, 2]).uniform(0, 2 * np.pi)),
     }
 
 
-def _constants(speed_range: str, case: str, path: Path, seed: int) -> list[float]:
-    """Return the parameters of an episode as numbers; infinite ones are the largest finite number."""
-    scenario = scenario_of(speed_range, case, path)
-    numbers = np.array(flatten(scenario.parameters(episode_of(speed_range, case, path, seed))))
-    finite: list[float] = np.nan_to_num(numbers, posinf=np.finfo(float).max).tolist()
-    return finite
-
-
-def ekf_record(speed_range: str) -> dict[str, Any]:
+def _ekf(speed_range: str) -> dict[str, Any]:
     """Return the parameters of the `ekf` law and of its filters, and the initial state of a filter."""
     vehicle, gains = PRESETS[f"{speed_range}-calm"].vehicle, load_gains("ekf", speed_range, EKF_GAINS)
     kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
@@ -208,9 +187,8 @@ def ekf_record(speed_range: str) -> dict[str, Any]:
     }
 
 
-def agent_record(agent: Exported) -> dict[str, Any]:
+def _agent(agent: Exported) -> dict[str, Any]:
     """Return the weights of an agent, in single precision, and the sizes that its equations need."""
-    weights = agent.network.constants
     return {
         "shape": shape_of(agent),
         "authority": list(agent.agent.authority),
@@ -218,10 +196,10 @@ def agent_record(agent: Exported) -> dict[str, Any]:
         "features": agent.agent.network.inputs,
         "hidden": agent.agent.network.memory,
         "integrals": agent.memory["integrals"],
-        "weights": {name: encoded(array, np.float32) for name, array in weights.items()},
+        "weights": {name: _encoded(array, np.float32) for name, array in agent.network.constants.items()},
     }
 
 
-def encoded(array: Any, kind: Any) -> str:
+def _encoded(array: Any, kind: Any) -> str:
     """Return the bytes of an array as base64."""
     return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()

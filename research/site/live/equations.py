@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, plain_function, tangent_function
-from auv_gym.codegen.vectors import plain_program
+from auv_gym.codegen.printing import ARITHMETIC, Language
 from auv_gym.physics.rows import unflatten
 from auv_gym.scenarios.exogenous import (
     GUST_ROWS,
@@ -35,6 +36,8 @@ from baselines.control.open_loop import OpenLoop
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import averaged, filter_kernel
 from baselines.export.parts import Exported, network_program
+from baselines.export.plain import plain_function, tangent_function
+from baselines.export.vectors import plain_program
 
 COMPONENTS = 6
 """Number of sines of the waves."""
@@ -47,27 +50,72 @@ TANGENT = "tangent"
 """Name of the function of the hyperbolic tangent."""
 
 
+def _javascript_number(value: float | bool) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "(-Infinity)"
+    text = repr(value).removesuffix(".0")
+    return f"({text})" if text[0] == "-" else text
+
+
+LANGUAGE = Language(
+    {
+        **ARITHMETIC,
+        **{name: f"Math.{name}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor", "abs")},
+        "arctan2": "Math.atan2({0}, {1})",
+        "single": "Math.fround({0})",
+        "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
+        "where": "({0} ? {1} : {2})",
+        "and": "({0} && {1})",
+        "or": "({0} || {1})",
+        "not": "(!{0})",
+    },
+    frozenset(("clip",)),
+    _javascript_number,
+)
+"""JavaScript. Its numbers are of double precision, and it does not contract a product with a sum."""
+_DECLARATIONS = (
+    (r"\(void\)\w+;\n", ""),
+    (r"static (?:void|real) ", "function "),
+    (r"(?:const )?real \*(\w+)", r"\1"),  # an array as a parameter
+    (r"\(real x\)", "(x)"),  # a number as a parameter
+    (r"real (\w+)\[(\d+)\];", r"const \1 = new Float64Array(\2);"),
+    (r"const (?:real|int) ", "const "),
+    (r"\b(?:real|int) ", "let "),
+)
+"""The declarations of C and those of JavaScript, in the order of their replacement."""
+
+
+def javascript(source: str) -> str:
+    """Return JavaScript functions from plain C functions whose expressions are those of `LANGUAGE`."""
+    for pattern, replacement in _DECLARATIONS:
+        source = re.sub(pattern, replacement, source)
+    return source
+
+
 def equations(agents: Sequence[Exported]) -> str:
     """Return the script that defines the page's object `EQUATIONS`, a function for each equation.
 
     Args:
         agents: agents of the page. Those with the same `shape_of` share their functions.
     """
-    functions = {name: printed(name, kernel) for name, kernel in kernels().items()}
+    functions = {name: printed(name, kernel) for name, kernel in page_kernels().items()}
     functions["command"] = printed("command", agents[0].command)
     functions |= agent_functions(agents)
     body = "\n".join(functions.values())
     names = ", ".join(functions)
-    tangent = tangent_function(TANGENT, JAVASCRIPT_DIALECT)
+    tangent = javascript(tangent_function(TANGENT, LANGUAGE, "float64"))
     return f'"use strict";\nconst EQUATIONS = (() => {{\n{tangent}\n{body}\nreturn {{ {names} }};\n}})();\n'
 
 
 def printed(name: str, kernel: Kernel, results: Mapping[str, Sequence[Symbol]] | None = None) -> str:
     """Return a JavaScript function that computes all or some results of a kernel."""
-    return plain_function(name, kernel.graph, kernel.arguments, results or kernel.results, JAVASCRIPT_DIALECT)
+    results = results or kernel.results
+    return javascript(plain_function(name, kernel.graph, kernel.arguments, results, LANGUAGE, "float64"))
 
 
-def kernels() -> dict[str, Kernel]:
+def page_kernels() -> dict[str, Kernel]:
     """Return the kernels of the simulation and of the controllers without agents, by the names of their functions."""
     return {
         "start": start_kernel(_PARTS),
@@ -88,7 +136,7 @@ def _sea_kernel() -> Kernel:
     def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> dict[str, Any]:
         w, k = unflatten(WEATHER, weather), gust[0]
         new = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
-        current = gusty_current(k, (new.s_x, new.s_y), w, SYMBOLS)
+        current = gusty_current(k, (new.filtered_x, new.filtered_y), w, SYMBOLS)
         load = wave_load(k, [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)], SYMBOLS)
         return {"gust": new, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
 
@@ -121,7 +169,7 @@ def preview_kernel(columns: int) -> Kernel:
     """Return the kernel of the columns of a preview, from displacements of the reference in the world frame."""
 
     def equation(seen: Any, ways: Any) -> dict[str, Any]:
-        return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS, span=1)}
+        return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS, bound_factor=1)}
 
     return Kernel.traced(equation, {"seen": SIZE, "ways": columns})
 
@@ -136,7 +184,7 @@ def agent_functions(agents: Sequence[Exported]) -> dict[str, str]:
         shape = shape_of(agent)
         functions[f"see_{shape}"] = printed(f"see_{shape}", agent.see, agent.seen)
         program = network_program(agent.agent, "weights.")
-        inside = plain_program("run", program, TANGENT, JAVASCRIPT_DIALECT, {})
+        inside = javascript(plain_program("run", program, TANGENT, LANGUAGE, {}))
         functions[f"network_{shape}"] = f"function network_{shape}(weights)\n{{\n{inside}return run;\n}}\n"
         if agent.preview:
             functions[f"preview_{shape}"] = printed(f"preview_{shape}", preview_kernel(2 * len(agent.preview)))

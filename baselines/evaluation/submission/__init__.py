@@ -1,1 +1,0 @@
-"""Submissions to the leaderboard: the results of a policy on a frozen suite as one file, and their verification."""

@@ -1,0 +1,172 @@
+"""Run trainings: progress, learning curve, agent."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from baselines.agents.agent import Agent
+from baselines.agents.model_card import CURVE_FILE
+from baselines.agents.names import AGENT_FOLDER
+from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError, checked
+from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
+from baselines.tools.files import versions, write_atomically
+from baselines.tools.workers import Workers
+from baselines.training.config import ALGORITHMS, Config
+from baselines.training.run_folder import RunFolder, Show, TrainingError, locked, read_progress
+
+
+@dataclass(frozen=True)
+class TrainingRequest:
+    """Checked trainings: configurations that differ in the seed, and a folder for each."""
+
+    configs: tuple[Config, ...]
+    folders: tuple[Path, ...]
+    out: Path  # folder of all
+    workers: Workers
+    command: str = ""  # command line of the user
+
+
+def train(config: Config, folder: Path, show: Show = lambda *_: None, processes: int = 1, command: str = "") -> Agent:
+    """Train an agent, or continue the training in a folder; return the agent, which is also saved in `folder`/agent.
+
+    Args:
+        config: of the training.
+        folder: of the run; it is empty, or holds a run with this configuration.
+        show: displays the progress.
+        processes: number of processes of a training of apg, including this one; the agent does not depend on it.
+        command: the command line, for the description of the agent.
+
+    Raises:
+        OSError: the folder cannot be written to.
+        TrainingError: the training cannot continue, or the folder holds another run.
+        UsageError: another process trains in the folder.
+        ValueError: the configuration cannot be trained, or a file of the folder is damaged.
+        WorkerError: a worker process has died.
+    """
+    with locked(folder):
+        run = RunFolder(config, folder, show, processes)
+        agent: Agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
+        run.close()
+        selected, curve = run.validated, learning_curve([read_progress(folder)])
+        write_atomically(folder / CURVE_FILE, curve)
+        record = {
+            "command": command,
+            "config": config.to_dict(),
+            "seconds": round(run.seconds, 1),
+            "versions": {**versions(), **{name: version(name) for name in ("stable-baselines3", "torch")}},
+            "scores": {"validation episodes": round(selected["score"], 3)},
+            "validation": {name: selected[name] for name in ("timesteps", "score", "error_m", "failed")},
+        }
+        agent = replace(agent, training={**record, **agent.training})
+        agent.save(folder / AGENT_FOLDER, curve)
+    return agent
+
+
+def train_all(request: TrainingRequest) -> int:
+    """Run the trainings of a request, write their folders and return the exit status.
+
+    Progress is printed to stderr: a progress bar on a terminal, else a line for each validation.
+    """
+    several = len(request.folders) > 1
+    processes = request.workers.each_of(len(request.folders))
+    tasks = [
+        (config, folder, request.command, several, processes)
+        for config, folder in zip(request.configs, request.folders, strict=True)
+    ]
+    status = DONE
+    try:
+        for one, line in request.workers.results(_trained, tasks):
+            print(line, file=sys.stderr if one else sys.stdout)
+            status = max(status, one)
+    except (WorkerError, KeyboardInterrupt) as error:
+        reason = str(error) or "interrupted"
+        print(f"{reason}; repeat the command with --resume to continue", file=sys.stderr)
+        return FAILED
+    if several and status == DONE:
+        rows = [checked(partial(read_progress, folder)) for folder in request.folders]
+        write_atomically(request.out / CURVE_FILE, learning_curve(rows, [folder.name for folder in request.folders]))
+    return status
+
+
+def _trained(config: Config, folder: Path, command: str, several: bool, processes: int) -> tuple[int, str]:
+    """Train an agent, perhaps one of several; return the exit status and a message.
+
+    Raises:
+        WorkerError: a worker process has died.
+    """
+    label = f"{folder.name}: " if several else ""
+    if (folder / AGENT_FOLDER).exists():
+        return DONE, f"{label}{folder} holds the finished agent: auv-gym evaluate --policy {folder / AGENT_FOLDER}"
+    try:
+        with nullcontext(_lines(config, label)) if several else _live(config) as show:
+            training = train(config, folder, show, processes, command).training
+    except UsageError as error:
+        return WRONG_USAGE, f"{label}{error}"
+    except TrainingError as error:
+        return FAILED, f"{label}{' '.join(str(error).split())}"
+    except OSError as error:
+        return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
+    score, seconds = training["validation"]["score"], training["seconds"]
+    return DONE, f"{label}validation score {score:.3f} after {seconds:.0f} s; agent: {folder / AGENT_FOLDER}"
+
+
+@contextmanager
+def _live(config: Config) -> Iterator[Show]:
+    """Yield a function that displays the progress on stderr."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield _lines(config)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[text]}"))
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(config.algo, total=config.timesteps, text="")
+        yield lambda timesteps, text, _: bar.update(task, completed=timesteps, text=text)
+
+
+def _lines(config: Config, label: str = "") -> Show:
+    """Return a function that prints a line to stderr for each validation; `label` begins each line."""
+
+    def show(timesteps: int, text: str, validated: bool) -> None:
+        if validated:
+            print(f"{label}{min(1.0, timesteps / config.timesteps):4.0%} {text}", file=sys.stderr, flush=True)
+
+    return show
+
+
+def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:
+    """Return a PNG image of the score on the validation episodes over control steps and over wall time.
+
+    Args:
+        seeds: for each training the rows of its progress.csv.
+        names: of the trainings, for the legend; empty for a single training.
+    """
+    figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
+    axes[0].set_ylabel("score (0: expert, 1: no error)")
+    with styled():
+        for ax, key, unit, label in zip(
+            axes, ("timesteps", "seconds"), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
+        ):
+            ax.set_xlabel(label)
+            ax.axhline(0.0, **REFERENCE_STYLE)
+            for i, rows in enumerate(seeds):
+                points = [row for row in rows if "score" in row]
+                ax.plot(
+                    [row[key] / unit for row in points],
+                    [row["score"] for row in points],
+                    color=COLOURS[i % len(COLOURS)],
+                    marker=".",
+                    label=names[i] if names else None,
+                )
+        if names:
+            axes[0].legend()
+    return to_png(figure)

@@ -1,1 +1,0 @@
-"""The leaderboard: its entries, their verification, its page."""

@@ -1,1 +1,0 @@
-"""The speed of the environments beside that of Gymnasium's Pendulum: `make bench`."""
