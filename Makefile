@@ -44,7 +44,7 @@ test-all: test ## the tests, the slow ones too, and those of equations once more
 	AUV_GYM_NATIVE=0 $(PYTEST) -m "not slow" -k "$(UNCOMPILED)" $(EQUATIONS)
 
 # The tests of equations run once more as on a machine without a compiler.
-EQUATIONS = $(foreach name,agent codegen contract controllers disturbances elementary env evaluation kernels planner vector_env, \
+EQUATIONS = $(foreach name,agent codegen contract controllers disturbances effects elementary env evaluation kernels planner vector_env, \
   $(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or report_is_one_page or interrupted or number_of_jobs or as_a_process)
 

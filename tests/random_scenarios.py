@@ -11,11 +11,13 @@ from dataclasses import replace
 from hypothesis import reject
 from hypothesis import strategies as st
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
-from auv_gym.physics.navigation import RandomReckoning
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PATHS, Path, Spline
 from auv_gym.scenarios.fitting import adapted

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.units import DIMENSIONS, POWERS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER

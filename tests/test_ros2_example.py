@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Circle
 from auv_gym.planning.planner import plan

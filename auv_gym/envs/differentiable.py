@@ -22,11 +22,10 @@ from torch import Tensor
 
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import tensors
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task import simulation
 from auv_gym.task.observation import encode
-from auv_gym.task.simulation import PLANT, Parameters, Parts
+from auv_gym.task.simulation import Parameters, Parts, Plant
 
 TENSORS = tensors()
 """The namespace of tensors."""
@@ -35,17 +34,19 @@ TENSORS = tensors()
 class Episodes(NamedTuple):
     """The first states and the exogenous inputs of N episodes, in double precision."""
 
-    state: Tensor  # rows of the `simulation.Plant` at the start, shape (PLANT_ROWS, N)
+    state: Tensor  # rows of the `simulation.Plant` at the start, shape (`Parts.plant_rows`, N)
     observation: Tensor  # first observations, shape (SIZE, N)
-    samples: Tensor  # rows of the `simulation.Sample` at the end of each control step, shape (T, SAMPLE_ROWS, N)
-    parameters: Tensor  # rows of the `simulation.Parameters`, shape (PARAMETER_ROWS, N)
+    samples: (
+        Tensor  # rows of the `simulation.Sample` at the end of each control step, shape (T, `Parts.sample_rows`, N)
+    )
+    parameters: Tensor  # rows of the `simulation.Parameters`, shape (`Parts.parameter_rows`, N)
     parts: Parts  # the parts of the simulation in use
 
 
 class Transition(NamedTuple):
     """The results of a control step."""
 
-    state: Tensor  # shape (PLANT_ROWS, N)
+    state: Tensor  # shape (`Parts.plant_rows`, N)
     observation: Tensor  # shape (SIZE, N)
     reward: Tensor  # shape (N,)
     failed: Tensor  # whether the distance to the reference exceeds `lost_distance`, shape (N,)
@@ -80,14 +81,12 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
     """Return the results of `simulation.step` for N vehicles, differentiable with respect to state and action.
 
     Args:
-        state: the rows of a `simulation.Plant`, shape (PLANT_ROWS, N).
+        state: the rows of a `simulation.Plant`, shape (`Parts.plant_rows`, N).
         action: surge and yaw command as fractions of the limits, shape (2, N).
-        sample: the rows of a `simulation.Sample`, shape (SAMPLE_ROWS, N).
-        parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+        sample: the rows of a `simulation.Sample`, shape (`Parts.sample_rows`, N).
+        parameters: the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
         parts: the parts of the simulation in use.
     """
     p = Parameters.of(parameters.unbind(), parts)
-    plant, terms, outcome = simulation.step(
-        unflatten(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
-    )
-    return Transition(torch.stack(flatten(plant)), encode(terms, TENSORS, parts.bound_factor), *outcome)
+    plant, terms, outcome = simulation.step(Plant.of(state.unbind()), action.unbind(), sample.unbind(), p, TENSORS)
+    return Transition(torch.stack(plant.rows), encode(terms, TENSORS, parts.bound_factor), *outcome)

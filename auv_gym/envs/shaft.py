@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium.vector import VectorActionWrapper, VectorEnv
 from numpy.typing import NDArray
 
+from auv_gym.effects.actuators import fin_share
 from auv_gym.envs.spaces import checked_action, checked_actions
-from auv_gym.physics.actuators import fin_share
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.scenario import Scenario

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_reset, checked_steps, seeded
 from auv_gym.physics.namespaces import Array, Indices
-from auv_gym.physics.rows import flatten, spread
+from auv_gym.physics.rows import spread
 from auv_gym.planning.paths import Path
 from auv_gym.planning.planner import Planner
 from auv_gym.scenarios.drawing import Drawing, drawn_as_rows
@@ -21,7 +21,7 @@ from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.task.kernels import STATES, started
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import Preview, with_preview
-from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
+from auv_gym.task.simulation import Parameters, Parts
 
 LARGEST_BLOCK = 64  # largest number of control steps that are read at once
 BLOCK_SAMPLES = 2**15  # largest number of vehicles times control steps that are read at once; it bounds the memory
@@ -36,7 +36,7 @@ class ReadyEpisodes(NamedTuple):
     episodes: Episode  # n episodes as one whose numbers are rows (n,), or a single one
     tables: Sequence[Array]  # reference tables, shape (steps + 1, 8)
     noise_seeds: Sequence[int]
-    constants: Array  # rows of their `simulation.Parameters`, shape (PARAMETER_ROWS, n)
+    constants: Array  # rows of their `simulation.Parameters`, shape (`Parts.parameter_rows`, n)
     paths: Sequence[Path]  # empty if there is no preview
 
 
@@ -44,7 +44,7 @@ class StartedEpisodes(NamedTuple):
     """The first states of n new episodes."""
 
     indices: Indices  # of the sub-environments, shape (n,)
-    plant: Array  # rows of their `simulation.Plant`, shape (PLANT_ROWS, n)
+    plant: Array  # rows of their `simulation.Plant`, shape (`Parts.plant_rows`, n)
     observation: Array  # first observations without previews, shape (columns, n), see `kernels.started`
     errors: Array  # [m] position errors, shape (n,)
 
@@ -56,14 +56,15 @@ class SubEnvironments:
         scenarios: the scenario of each sub-environment, with equal `substeps`.
         preview: control periods ahead, see `Preview`.
         max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
+        parts: of the simulation; None: those of the scenarios.
 
     Attributes:
         all: the indices of all sub-environments, shape (N,).
         scenarios: the scenario of each sub-environment; a change has an effect from its next episode on.
         started: whether all sub-environments have been reset.
-        samples: a block of samples, shape (block, SAMPLE_ROWS, N).
+        samples: a block of samples, shape (block, `Parts.sample_rows`, N).
         row: index of the present sample in the block; -1 if it was the last one of the previous block.
-        constants: the rows of `parameters`, shape (PARAMETER_ROWS, N).
+        constants: the rows of `parameters`, shape (`Parts.parameter_rows`, N).
         k: control steps since the reset of each sub-environment, shape (N,).
         law: the control law whose actions are appended to observations; None without one.
         preview: positions of the references ahead.
@@ -77,6 +78,7 @@ class SubEnvironments:
         scenarios: Sequence[Scenario],
         preview: Sequence[int] = (),
         max_episode_steps: int | None = None,
+        parts: Parts | None = None,
     ) -> None:
         num_envs = len(scenarios)
         self.scenarios = list(scenarios)
@@ -88,20 +90,20 @@ class SubEnvironments:
         self._steps = np.array([s.steps for s in self.scenarios])
         self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
-        self._exogenous = ExogenousInputs(num_envs, block)
+        self.parts = parts or reduce(Parts.joined, {s.parts: None for s in self.scenarios})
+        self._exogenous = ExogenousInputs(num_envs, block, self.parts)
         self.preview = Preview(num_envs, preview, int(self._steps.max()))
         self._fixed_tables: dict[tuple[int, Planner], Array] = {}  # by fixed path and planner
-        self.samples, self.row = np.zeros((block, SAMPLE_ROWS, num_envs)), 0
+        self.samples, self.row = np.zeros((block, self.parts.sample_rows, num_envs)), 0
         self._previous = self.samples[0]  # the last sample of the previous block
-        self.constants = np.ones((PARAMETER_ROWS, num_envs))
-        self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
+        self.constants = np.ones((self.parts.parameter_rows, num_envs))
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
         self._remaining = 0  # lower bound of the control steps until an episode is truncated
 
     @property
     def sample(self) -> Any:
-        """The samples of the present time, shape (SAMPLE_ROWS, N)."""
+        """The samples of the present time, shape (`Parts.sample_rows`, N)."""
         return self._previous if self.row < 0 else self.samples[self.row]
 
     @property
@@ -120,7 +122,7 @@ class SubEnvironments:
         return ending
 
     def next_sample(self) -> Array:
-        """Return the samples at the end of the next control step, shape (SAMPLE_ROWS, N); the time does not change."""
+        """Return the samples at the end of the next control step, as `sample`; the time does not change."""
         if self.row + 1 == len(self.samples):
             self.read()
         sample: Array = self.samples[self.row + 1]
@@ -206,7 +208,7 @@ class SubEnvironments:
             return [], places.tolist()
         members = np.array([*feasible])
         episodes = drawing.episodes(members)
-        constants = spread(flatten(scenario.constants(episodes)), len(members))
+        constants = spread(scenario.constants(episodes, self.parts).rows, len(members))
         paths = drawing.single(members) if self.preview.periods else []
         seeds = [drawing.seeds[j] for j in feasible]
         rows = ReadyEpisodes(places[members], scenario, episodes, [*feasible.values()], seeds, constants, paths)
@@ -221,7 +223,7 @@ class SubEnvironments:
         else:
             episode, table = scenario.drawn(rng, lambda drawn: self.table(scenario, drawn.path))
         episode = with_options(episode, options)
-        constants = spread(flatten(scenario.parameters(episode)), 1)
+        constants = spread(scenario.parameters(episode, self.parts).rows, 1)
         places, seeds = np.array([place]), [episode.noise_seed]
         return ReadyEpisodes(places, scenario, episode, [table], seeds, constants, [episode.path])
 

@@ -17,7 +17,6 @@ from auv_gym.envs.arguments import ScenarioLike, VehicleLike, checked_seed
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import FLOATS, Array
-from auv_gym.physics.rows import unflatten
 from auv_gym.planning.paths import Path
 from auv_gym.rendering import PICTURE, Renderer, View, checked_size
 from auv_gym.scenarios.episode import checked_options
@@ -27,7 +26,7 @@ from auv_gym.task.kernels import Vehicles
 from auv_gym.task.observation import decoded_terms
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds, with_preview
-from auv_gym.task.simulation import PLANT, REFERENCE, Parameters, Plant, Sample, current_at, ground_state
+from auv_gym.task.simulation import PLANT, REFERENCE, Parameters, Plant, current_at, ground_state
 
 _TRAIL = 1000  # largest number of past positions in a picture
 _ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of an action
@@ -229,12 +228,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self.render_mode == "human":
             self.render()
 
-    def _truth(self) -> tuple[Plant, Sample, Parameters]:
-        """Return plant, exogenous inputs and constants at this time."""
+    def _truth(self) -> tuple[Plant, list[float], Parameters]:
+        """Return plant, sample and constants at this time."""
         sub_envs = self._sub_envs
         return (
-            unflatten(PLANT, self._vehicle.now.plant.ravel().tolist()),
-            Sample._make(sub_envs.samples[self._row].ravel().tolist()),
+            Plant.of(self._vehicle.now.plant.ravel().tolist()),
+            sub_envs.samples[self._row].ravel().tolist(),
             Parameters.of(sub_envs.constants.ravel().tolist(), self.scenario.parts),
         )
 
@@ -272,7 +271,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
         plant, sample, parameters = self._truth()
-        return np.array(ground_state(plant, (sample.V_x, sample.V_y), parameters, FLOATS))
+        return np.array(ground_state(plant, sample, parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
@@ -288,7 +287,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the position of the vehicle; shape (2,)."""
         plant, sample, parameters = self._truth()
-        return np.array(current_at(plant.x, plant.y, (sample.V_x, sample.V_y), parameters, FLOATS))
+        return np.array(current_at(plant[:6], sample, parameters, FLOATS))
 
     @property
     def time(self) -> float:

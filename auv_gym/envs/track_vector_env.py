@@ -21,7 +21,7 @@ from auv_gym.task.kernels import MakeSimulator, Simulator, Vehicles
 from auv_gym.task.observation import SIZE, decode
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds
-from auv_gym.task.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
+from auv_gym.task.simulation import LOAD, PLANT, REFERENCE, current_at, ground_state
 
 Mask = NDArray[np.bool_]
 
@@ -213,8 +213,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
-        current, parameters = self._sub_envs.sample[CURRENT], self._sub_envs.parameters
-        return np.stack(ground_state(self._running.plant, current, parameters, ARRAYS), axis=1)
+        sub_envs = self._sub_envs
+        return np.stack(ground_state(self._running.plant, sub_envs.sample, sub_envs.parameters, ARRAYS), axis=1)
 
     @property
     def pose(self) -> Array:
@@ -235,8 +235,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
     @property
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the positions of the vehicles; shape (N, 2)."""
-        sub_envs, (x, y, _) = self._sub_envs, self.pose.T
-        return np.array(current_at(x, y, sub_envs.sample[CURRENT], sub_envs.parameters, ARRAYS)).T
+        sub_envs = self._sub_envs
+        return np.array(current_at(self._running.plant[:6], sub_envs.sample, sub_envs.parameters, ARRAYS)).T
 
     @property
     def load(self) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.actuators import fin_share
+from auv_gym.effects.actuators import fin_share
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.sideslip import MAX_SIDESLIP

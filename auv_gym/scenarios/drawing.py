@@ -55,7 +55,8 @@ class Drawing:
         first = self._used[members]
         most = DRAWS - int(first.max())
         rows = self._numbers[members[:, None], first[:, None] + np.arange(most)]
-        return self._scenario.episode(Line.member(self._speed[members]), iter(rows.T.copy()).__next__, 0)
+        episode = self._scenario.episode(Line.member(self._speed[members]), iter(rows.T.copy()).__next__, 0)
+        return self._scenario.with_effects(episode, np.array(self.seeds, dtype=np.uint64)[members])
 
     def single(self, members: Indices) -> list[Path]:
         """Return the path of each of these episodes."""
@@ -71,9 +72,8 @@ class Drawing:
 def drawn_as_rows(scenario: Scenario) -> bool:
     """Return whether the episodes of a scenario can be drawn as rows.
 
-    That requires paths that can be stacked, and no outages, dead reckoning or faults.
+    That requires paths that can be stacked, and no effect with inputs of its own.
     """
     names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
     alike = all(issubclass(PATHS[name], Family) for name in names)
-    navigation = scenario.sensors.outages or scenario.sensors.reckoning
-    return alike and not navigation and scenario.faults is None
+    return alike and not any(effect.Inputs._fields for effect in scenario.parts.effects)

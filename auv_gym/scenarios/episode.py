@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.effects.current import Current
+from auv_gym.effects.faults import Fault
+from auv_gym.effects.navigation import Reckoning
+from auv_gym.effects.waves import Waves
 from auv_gym.physics.dynamics import State
-from auv_gym.physics.faults import Fault
-from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 
@@ -37,6 +38,7 @@ class Episode:
     outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of each outage of position fixes
     faults: tuple[Fault, ...] = ()  # of actuators and measurements
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
+    effects: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # names and numbers of the effects of `Scenario.effects`
 
     def initial_state(self, reference: Sequence[float]) -> State:
         """Return the first state, with velocities relative to the water, for the first reference x, y, psi, u, ..."""

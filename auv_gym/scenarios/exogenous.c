@@ -196,8 +196,6 @@ void read_samples(long count, long steps, long most, long time, long row, const 
             const int64_t of_rest[] = {steps, AT(instants), steps, AT(swing), steps, AT(transposed), steps, AT(weather),
                                        AT(current), steps, AT(measured), steps};
             current_and_noise(of_rest, 0, 1);
-            for (long j = 0; j < steps; j++) measured[6 * steps + j] = 1; /* a position fix */
-            memset(measured + 7 * steps, 0, steps * sizeof(double)); /* no fault */
         }
         for (long j = 0; j < steps; j++) /* the reference; its last instant is repeated */
             for (long l = 0; l < tile; l++) {

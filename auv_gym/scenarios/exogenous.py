@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, address, library_digest, together
-from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.effects.current import Current
+from auv_gym.effects.waves import Waves
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.faults import fault_rows
 from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
-from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.physics.rows import flatten, numbered, spread, unflatten
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS
+from auv_gym.task.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS, Parts
 
 TILE = 16  # sub-environments whose samples are written together, which fills cache lines of the result
 NORMALS = 8  # number of standard normals of a control step
@@ -95,7 +94,7 @@ _ENTRY = numbered(ExogenousProgram)  # index of each number of an `ExogenousProg
 def next_gust(gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace) -> Gust:
     """Return the state of the gusts at a control instant, for that at the previous instant.
 
-    The gust on each axis is an Ornstein-Uhlenbeck process n with a first-order filter s, see `disturbances.Current`:
+    The gust on each axis is an Ornstein-Uhlenbeck process n with a first-order filter s, see `current.Current`:
     n_k = a n_(k-1) + sqrt(1 - a^2) w_k,  s_k = b s_(k-1) + (1 - b) n_k,  starting from n_0 = s_0 = w_0.
 
     Args:
@@ -137,7 +136,7 @@ def with_wave(load: Sequence[Number], k: Number, component: Sequence[Number], ns
 
 
 def wave_load(k: Number, components: Sequence[Sequence[Number]], ns: Namespace) -> tuple[Number, Number, Number]:
-    """Return the first-order wave forces X, Y [N] and N [N m] at control instant k, see `disturbances.Waves`."""
+    """Return the first-order wave forces X, Y [N] and N [N m] at control instant k, see `waves.Waves`."""
     load: list[Number] = [0.0, 0.0, 0.0]
     for component in components:
         load = with_wave(load, k, component, ns)
@@ -228,10 +227,11 @@ def digest() -> str:
 
 
 class ExogenousInputs:
-    """The samples (`simulation.Sample`) of the episodes of N sub-environments."""
+    """The samples (`simulation.Sample`) and inputs of effects of the episodes of N sub-environments."""
 
-    def __init__(self, num_envs: int, block: int) -> None:
+    def __init__(self, num_envs: int, block: int, parts: Parts) -> None:
         """Allocate memory for `num_envs` sub-environments, and for reading up to `block` control steps at once."""
+        self._parts = parts
         self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # for compiled code
         empty: Array = np.zeros((1, REFERENCE.stop))
         self._tables = [empty] * num_envs
@@ -239,7 +239,7 @@ class ExogenousInputs:
         self._entries = np.tile(
             np.array(ExogenousProgram(address(empty), 1, 0, 0, 0, 0), dtype=np.int64), (num_envs, 1)
         )
-        self._scheduled: dict[int, Array] = {}  # of the sub-environments that have it, see `scheduled`
+        self._series: dict[int, Array] = {}  # inputs of the effects, of the sub-environments that have some
         self._gust, self._weather = np.zeros((num_envs, GUST_ROWS)), np.zeros((num_envs, WEATHER_ROWS))
         self._waves = np.zeros((num_envs, 0, WAVE_ROWS))
 
@@ -291,7 +291,7 @@ class ExogenousInputs:
         for index, table in zip(indices.tolist(), tables, strict=True):
             self._tables[index] = rows = np.ascontiguousarray(table, dtype=np.float64)
             self._entries[index, _ENTRY.table] = address(rows)
-            self._scheduled.pop(index, None)
+            self._series.pop(index, None)
         waves = wave_components(episodes.waves, dt)
         self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
         slowest = self._least_speed(indices) if math.isfinite(current.cap) else 0.0
@@ -302,8 +302,9 @@ class ExogenousInputs:
             self.__dict__.pop("_arrays", None)
         self._waves[indices, : len(waves)] = waves if waves.ndim == 2 else waves.transpose(2, 0, 1)
         self._gust[indices] = 0.0
-        if episodes.outages or episodes.reckoning or episodes.faults:
-            self._scheduled[int(indices[0])] = scheduled(scenario, episodes, tables[0])
+        own = [effect.series(scenario, episodes, tables[0]) for effect in self._parts.effects if effect.Inputs._fields]
+        if any(rows is not None for rows in own):  # then it is a single episode, see `drawing.drawn_as_rows`
+            self._series[int(indices[0])] = self._with_idle(own, len(tables[0]))
 
     def _least_speed(self, indices: Indices) -> Any:
         """Return the `least_speed` of the references of sub-environments."""
@@ -314,16 +315,16 @@ class ExogenousInputs:
         return speeds if len(indices) > 1 else float(speeds[0])
 
     def read(self, indices: Sequence[int] | Indices, n: int) -> Array:
-        """Return the next n samples of sub-environments, shape (n, SAMPLE_ROWS, len(indices)).
+        """Return the next n samples of sub-environments, shape (n, `Parts.sample_rows`, len(indices)).
 
         After the last instant of an episode the last reference is repeated.
         """
-        out = np.empty((n, SAMPLE_ROWS, len(indices)))
+        out = np.empty((n, self._parts.sample_rows, len(indices)))
         self.read_into(out, np.asarray(indices), np.arange(len(indices)))
         return out
 
     def read_into(self, out: Array, indices: Indices, columns: Indices) -> None:
-        """Write the next T samples of sub-environments to columns of an array (T, SAMPLE_ROWS, N), see `read`.
+        """Write the next T samples of sub-environments to columns of an array (T, `Parts.sample_rows`, N), see `read`.
 
         Raises:
             ValueError: T is larger than `block`.
@@ -337,13 +338,22 @@ class ExogenousInputs:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
             sizes = len(indices), n, self._waves.shape[1], time, row
             code.read_samples(*sizes, address(indices), address(columns), *self._arrays, address(out), code.normal)
-        if self._scheduled:
+        if len(idle := self._parts.places.idle):
+            out[:, SAMPLE_ROWS:, columns] = idle[:, None]
             ends = self._entries[indices, _ENTRY.next].tolist()
             for end, index, column in zip(ends, indices.tolist(), columns.tolist(), strict=True):
-                if index in self._scheduled:
-                    rows = self._scheduled[index][end - n : end]
-                    out[: len(rows), SAMPLE.fix : SAMPLE.fault + 1, column] = rows[:, :2]
-                    out[: len(rows), SAMPLE.n_x : SAMPLE.n_psi + 1, column] += rows[:, 2:]
+                if index in self._series:
+                    rows = self._series[index][end - n : end]
+                    out[: len(rows), SAMPLE_ROWS:, column] = rows
+
+    def _with_idle(self, series: Sequence[Array | None], instants: int) -> Array:
+        """Return the inputs of the effects in an episode, shape (T, rows); None stands for neutral ones."""
+        places = self._parts.places
+        rows = np.tile(places.idle, (instants, 1))
+        for own, place in zip(series, (x for x in places.inputs.values() if x.start < x.stop), strict=True):
+            if own is not None:
+                rows[:, place] = own.T
+        return rows
 
     def _in_python(self, out: Array, indices: Indices, columns: Indices) -> None:
         """Write the samples of `read_into` by the same kernels as `read_samples` of exogenous.c."""
@@ -362,7 +372,6 @@ class ExogenousInputs:
             out[:, REFERENCE, column] = self._tables[index][np.minimum(time, entry.instants - 1)]
             for part, rows in ((CURRENT, rest["current"]), (LOAD, load), (NOISE, rest["measured"])):
                 out[:, part, column] = rows.T
-            out[:, SAMPLE.fix, column], out[:, SAMPLE.fault, column] = 1.0, 0.0
         self._entries[indices, _ENTRY.next] += n
 
 
@@ -388,41 +397,6 @@ def least_speed(tables: Sequence[Array]) -> Any:
     """Return the least speed [m/s] of each reference table, a row; a number for a single table."""
     speeds = [math.sqrt((table[:, SAMPLE.u_R] ** 2 + table[:, SAMPLE.v_R] ** 2).min()) for table in tables]
     return np.array(speeds) if len(speeds) > 1 else speeds[0]
-
-
-def scheduled(scenario: Scenario, episode: Episode, table: Array) -> Array:
-    """Return what outages, dead reckoning and faults change in the samples of an episode, shape (T, 5).
-
-    The columns are the gain of the position fix and the code of the fault, then what is added to the measurement errors
-    of x, y [m] and psi [rad]. `table` is the reference table of the episode, shape (T, 8).
-    """
-    sensors, reckoning, dt = scenario.sensors, episode.reckoning, scenario.control_dt
-    rows, times = np.zeros((len(table), 5)), dt * np.arange(len(table), dtype=np.float64)
-    rows[:, 0] = 1.0
-    for begin, end in episode.outages:
-        rows[(times >= begin) & (times < end), 0] = 0.0
-    rows[0, 0] = 1.0  # the first position is known
-    if reckoning and sensors.reckoning:
-        fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
-        rows[:, 0] = _fix_gains(rows[:, 0], reckoning, fix_filter, dt, table)
-        rows[:, 4] = heading_errors(reckoning.drift, sensors.reckoning.walk, dt, len(table), rng)
-    if episode.faults:
-        rows[:, 1:4] = fault_rows(episode.faults, dt, len(table)).T
-    return rows
-
-
-def _fix_gains(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: float, table: Array) -> Array:
-    """Return the gain of the position fix at each control instant: 1 at the first instant, 0 without a fix.
-
-    `fixes` is 0 for each control instant in an outage, else 1. The filter uses the distances between fixes on the
-    reference.
-    """
-    instants = np.unique(np.ceil(np.array(reckoning.fixes) / dt - 1e-9).astype(int))
-    used = [0, *(k for k in instants.tolist() if 0 < k < len(table) and fixes[k])]
-    distance = np.concatenate(([0.0], dt * np.cumsum(np.hypot(table[1:, SAMPLE.u_R], table[1:, SAMPLE.v_R]))))
-    gains = np.zeros(len(table))
-    gains[used] = [1.0, *fix_filter.gains(np.diff(distance[used]).tolist(), (dt * np.diff(used)).tolist())]
-    return gains
 
 
 def weather_of(current: Current, dt: float, slowest: Number, noise: Errors, bias: Errors) -> Weather:

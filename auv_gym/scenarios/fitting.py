@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
@@ -87,6 +87,7 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
         substeps=max(scenario.substeps, MOST_SUBSTEPS),
         mismatch=_adapted_mismatch(scenario.mismatch, drag, units),
         actuators=_adapted_actuators(scenario.actuators, vehicle_model, units),
+        effects=tuple(one.scaled(units) for one in scenario.effects),
         **changes,
     )
     return replace(fitted, substeps=max(scenario.substeps, fitted.least_substeps))
@@ -158,6 +159,7 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
         waves=waves,
         mismatch=mismatch,
         actuators=actuators_in(units, scenario.actuators),
+        effects=tuple(one.scaled(back) for one in scenario.effects),
         control_dt=scenario.control_dt / units.time,
         error_scale=scenario.error_scale / units.length,
         lost_distance=scenario.lost_distance / units.length,

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomWaves
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 

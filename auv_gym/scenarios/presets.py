@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.intervals import Interval
-from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.names import CASES, SPEED_RANGES, STEPS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start

@@ -5,20 +5,24 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from auv_gym.physics.actuators import Actuators, Response
-from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.effects import PACKAGE, Effect
+from auv_gym.effects.actuators import Actuators, Response
+from auv_gym.effects.base import EFFECTS, uniform_of
+from auv_gym.effects.current import Current, RandomCurrent
+from auv_gym.effects.faults import RandomFaults
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.dynamics import Load
-from auv_gym.physics.faults import RandomFaults
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
 from auv_gym.physics.namespaces import Array, Number
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step, substeps_for
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
@@ -26,7 +30,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS, reference_bounds
-from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
+from auv_gym.task.simulation import Parameters, Parts
 
 if TYPE_CHECKING:
     from auv_gym.planning.planner import Planner
@@ -117,6 +121,7 @@ class Scenario:
     actuators: Actuators = field(default_factory=Actuators)
     start: Start = field(default_factory=Start)
     faults: RandomFaults | None = None
+    effects: tuple[Effect, ...] = ()  # of classes made by `auv_gym.effects.effect`
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
     substeps: int = 1  # Runge-Kutta steps in a control period
@@ -132,6 +137,15 @@ class Scenario:
             if not isinstance(getattr(self, name), kinds):
                 allowed = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
                 raise ValueError(f"scenario {name} is {getattr(self, name)!r}; it must be a {allowed}")
+        if not isinstance(self.effects, tuple) or not all(
+            isinstance(e, Effect) and is_dataclass(e) for e in self.effects
+        ):
+            raise ValueError(
+                f"scenario effects is {self.effects!r}; it must be a tuple of objects whose classes are made by "
+                "auv_gym.effects.effect"
+            )
+        if len({one.name for one in self.effects}) < len(self.effects):
+            raise ValueError("scenario effects has two of one name; give each effect once")
         for name, high in (("steps", 10**6), ("substeps", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
@@ -200,7 +214,14 @@ class Scenario:
         if self.faults:
             faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
             episode = replace(episode, faults=faults)
-        return episode
+        return self.with_effects(episode, noise_seed)
+
+    def with_effects(self, episode: Episode, noise_seeds: Any) -> Episode:
+        """Return an episode with the numbers of `effects`, or N episodes with rows, for their noise seeds (N,)."""
+        if not self.effects:
+            return episode
+        drawn = ((one.name, one.draw(uniform_of(type(one), noise_seeds))) for one in self.effects)
+        return replace(episode, effects=tuple(drawn))
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
         """Return the episode of a path from a uniform stream, without outages, dead reckoning and faults.
@@ -253,21 +274,8 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of the simulation that its episodes use."""
-        return Parts(
-            self.substeps,
-            filtered=self.sensors.low_pass is not None,
-            outages=self.sensors.outages > 0,
-            delayed=self.actuators.delay != 0,
-            weak=self.actuators.reach != 1,
-            sheared=self.current is not None and self.current.shear != 0,
-            reckoned=self.sensors.reckoning is not None,
-            lifting=self.vehicle.has_lift,
-            crossed=self.vehicle.has_cross_terms,
-            finned=self.actuators.fin > 0,
-            astern=self.actuators.astern < 1,
-            faulty=self.faults is not None,
-            bound_factor=self.bound_factor,
-        )
+        effects = *(e for e in PACKAGE if e.used(self)), *map(type, self.effects)
+        return Parts(self.substeps, effects, self.bound_factor)
 
     @property
     def bound_factor(self) -> int:
@@ -283,53 +291,42 @@ class Scenario:
         limits = act.F_u_max, act.F_r_max
         return _planner(self.vehicle, self.control_dt, self.steps, limits, act.fin, self.bound_factor)
 
-    def parameters(self, episode: Episode) -> Parameters:
+    def parameters(self, episode: Episode, parts: Parts | None = None) -> Parameters:
         """Return the constants of an episode.
 
+        Args:
+            episode: of this scenario.
+            parts: with the effects whose constants are returned; None: those of the scenario.
+
         Raises:
-            ValueError: the episode has a part that the scenario does not have, or the integration step is too long.
+            ValueError: the episode has an effect that the scenario does not have, or the integration step is too long.
         """
-        parts = self.parts
-        for part, there, what in (
-            (parts.outages, episode.outages, "outages of the position fix"),
-            (parts.delayed, episode.delay, "a delay"),
-            (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
-            (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
-            (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
-            (parts.faulty, episode.faults, "faults"),
-            (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
-            (parts.crossed, episode.vehicle.has_cross_terms, "a vehicle with cross terms"),
-        ):
-            if there and not part:
-                raise ValueError(f"the episode has {what}, but scenario {self.name!r} has none; change one of them")
+        there = [e.what for e in PACKAGE if e not in self.parts.effects and e.there(episode)]
+        there += [
+            f"the effect {name!r}" for name, _ in episode.effects if name not in [one.name for one in self.effects]
+        ]
+        if there:
+            raise ValueError(f"the episode has {there[0]}, but scenario {self.name!r} has none; change one of them")
         if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
             self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)
-        return self.constants(episode)
+        return self.constants(episode, parts)
 
-    def constants(self, episode: Episode) -> Parameters:
+    def constants(self, episode: Episode, parts: Parts | None = None) -> Parameters:
         """Return the `parameters` of an episode of this scenario, or rows of them."""
-        act = self.actuators
+        act, parts = self.actuators, parts or self.parts
         return Parameters(
             h=self.control_dt / self.substeps,
             coefficients=episode.vehicle.coefficients,
             F_u_max=act.F_u_max,
             F_r_max=act.F_r_max,
             response=Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
-            filter_gain=self.sensors.filter_gain(self.control_dt),
             error_scale=self.error_scale,
             rate_weight=self.rate_weight,
             lost_distance=self.lost_distance,
             thrust_u=act.F_u_max * episode.effectiveness[0],
             thrust_r=act.F_r_max * episode.effectiveness[1],
-            reach_u=episode.reach[0],
-            reach_r=episode.reach[1],
-            delay=1.0 * episode.delay,
-            fin=act.fin,
-            astern=act.astern,
-            shear=Shear(*episode.current.shear),
-            log=log_of(episode.reckoning),
-            cross_terms=episode.vehicle.cross_terms,
-            parts=self.parts,
+            parts=parts,
+            own=tuple(x for effect in parts.effects for x in effect.constants(self, episode)),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -337,6 +334,8 @@ class Scenario:
         record = to_record(self)
         if not isinstance(self.path, RandomPath):
             record["path"] = path_record(self.path)
+        if self.effects:
+            record["effects"] = {one.name: to_record(one) for one in self.effects}
         return {"name": self.name, **record}
 
     @classmethod
@@ -346,7 +345,7 @@ class Scenario:
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        return from_record(cls, record, "scenario", {"path": path_from, "vehicle": as_vehicle})
+        return from_record(cls, record, "scenario", {"path": path_from, "vehicle": as_vehicle, "effects": effects_from})
 
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
@@ -385,6 +384,22 @@ def _planner(
 
 def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
+
+
+def effects_from(record: Any) -> tuple[Effect, ...]:
+    """Return the effects of a table with a table for each.
+
+    Raises:
+        ValueError: a name is unknown, since reading a scenario never imports code, or an entry is unknown or wrong.
+    """
+    if not isinstance(record, Mapping):
+        raise ValueError(f"scenario effects is {record!r}; it must be a table with a table for each effect")
+    if unknown := [name for name in record if name not in EFFECTS]:
+        raise ValueError(
+            f"unknown effect {unknown[0]!r}; known are {', '.join(EFFECTS) or 'none'}. Import the file that defines it "
+            "first, or name it: auv-gym evaluate --effects FILE.py"
+        )
+    return tuple(from_record(EFFECTS[name], entries, f"effect {name}") for name, entries in record.items())
 
 
 def path_record(path: Path) -> dict[str, Any]:

@@ -14,20 +14,9 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, single
 from auv_gym.codegen.kernel import Kernel, KernelRun, together
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.task.observation import SIZE, action_of, decode, encode
 from auv_gym.task.policy import Law, corrected
-from auv_gym.task.simulation import (
-    PARAMETER_ROWS,
-    PLANT,
-    PLANT_ROWS,
-    SAMPLE_ROWS,
-    Parameters,
-    Parts,
-    Plant,
-    start,
-    step,
-)
+from auv_gym.task.simulation import Parameters, Parts, Plant, start, step
 
 ACTIONS = 2  # number of actions, surge and yaw
 STATES = 6  # number of rows of a `dynamics.State`
@@ -72,14 +61,13 @@ def step_kernel(parts: Parts, law: Law | None = None, *, carried: bool = False) 
             base = seen[SIZE:]
             action = [corrected(*three, SYMBOLS) for three in zip(base, authority, action, strict=True)]
         p = Parameters.of(parameters, parts)
-        moved, terms, (reward, failed, squared_error, saturated) = step(
-            unflatten(PLANT, plant), action, samples, p, SYMBOLS
-        )
+        moved, terms, (reward, failed, squared_error, saturated) = step(Plant.of(plant), action, samples, p, SYMBOLS)
         outcome = Outcome(reward, failed, SYMBOLS.sqrt(squared_error), saturated)
-        return {f"{after}plant": flatten(moved), f"{after}seen": _observed(terms, law, parts), "outcome": outcome}
+        return {f"{after}plant": moved.rows, f"{after}seen": _observed(terms, law, parts), "outcome": outcome}
 
-    rows = {"plant": PLANT_ROWS, "seen": columns(law), "action": ACTIONS, "authority": ACTIONS}
-    return Kernel.traced(equation, {**rows, "samples": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}, ["samples"])
+    rows = {"plant": parts.plant_rows, "seen": columns(law), "action": ACTIONS, "authority": ACTIONS}
+    rows |= {"samples": parts.sample_rows, "parameters": parts.parameter_rows}
+    return Kernel.traced(equation, rows, ["samples"])
 
 
 @lru_cache(maxsize=64)
@@ -88,21 +76,22 @@ def start_kernel(parts: Parts, law: Law | None = None) -> Kernel:
 
     def equation(state: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         plant, terms = start(tuple(state), sample, Parameters.of(parameters, parts), SYMBOLS)
-        return {"plant": flatten(plant), "seen": _observed(terms, law, parts)}
+        return {"plant": plant.rows, "seen": _observed(terms, law, parts)}
 
-    return Kernel.traced(equation, {"state": STATES, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS})
+    rows = {"state": STATES, "sample": parts.sample_rows, "parameters": parts.parameter_rows}
+    return Kernel.traced(equation, rows)
 
 
 def started(
     parts: Parts, states: Array, sample: Array, parameters: Array, law: Law | None = None
 ) -> tuple[Array, Array]:
-    """Return plants, shape (PLANT_ROWS, n), and observations, shape (columns, n), at the start of n episodes.
+    """Return plants, shape (`Parts.plant_rows`, n), and observations, shape (columns, n), at the start of n episodes.
 
     Args:
         parts: the parts of the simulation in use.
         states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (STATES, n).
-        sample: rows of the first `simulation.Sample`, shape (SAMPLE_ROWS, n).
-        parameters: rows of the `simulation.Parameters`, shape (PARAMETER_ROWS, n).
+        sample: rows of the first `simulation.Sample`, shape (`Parts.sample_rows`, n).
+        parameters: rows of the `simulation.Parameters`, shape (`Parts.parameter_rows`, n).
         law: the control law whose action is appended to observations; None without one.
     """
     results = start_kernel(parts, law)(state=states, sample=sample, parameters=parameters)
@@ -117,7 +106,7 @@ def columns(law: Law | None) -> int:
 class Side(NamedTuple):
     """The arrays of N vehicles at one control instant."""
 
-    plant: Array  # shape (PLANT_ROWS, N)
+    plant: Array  # shape (`Parts.plant_rows`, N)
     observation: Array  # shape (columns, N)
 
 
@@ -151,8 +140,8 @@ class Vehicles:
 
     Args:
         parts: the parts of the simulation in use.
-        samples: array for the rows of `simulation.Sample`, shape (T, SAMPLE_ROWS, N).
-        parameters: array for the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+        samples: array for the rows of `simulation.Sample`, shape (T, `Parts.sample_rows`, N).
+        parameters: array for the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
         law: the control law that actions correct; None if actions are commands.
         authority: largest corrections of surge and yaw.
         undoable: whether the last step can be undone: each step then writes to a second set of arrays.
@@ -181,7 +170,7 @@ class Vehicles:
         n = samples.shape[-1]
         self.parts, self.law = parts, law
         self.action, self.outcome = np.zeros((ACTIONS, n)), np.zeros((OUTCOMES, n))
-        now, other = (Side(np.zeros((PLANT_ROWS, n)), np.zeros((columns(law), n))) for _ in range(2))
+        now, other = (Side(np.zeros((parts.plant_rows, n)), np.zeros((columns(law), n))) for _ in range(2))
         self.now, self._other = now, other if undoable else now
         self._inputs = {
             "action": self.action,
@@ -262,4 +251,4 @@ class Vehicles:
     @property
     def plant(self) -> Plant:
         """The present plants, rows of shape (N,)."""
-        return unflatten(PLANT, tuple(self.now.plant))
+        return Plant.of(tuple(self.now.plant))

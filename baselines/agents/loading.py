@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -94,6 +95,24 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     if not callable(getattr(policy, "predict", None)):
         raise ValueError(f"{factory} of {file} returns a {type(policy).__name__}, which has no method predict")
     return policy
+
+
+def load_effects(file: Path) -> None:
+    """Import a Python file that defines effects, see `auv_gym.effects.effect`; worker processes import it too.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no Python file, its name is that of another module, or it raises an error.
+    """
+    read_bytes(file)
+    name, folder = file.stem, str(file.resolve().parent)
+    known = getattr(sys.modules.get(name), "__file__", None) if name in sys.modules else str(file.resolve())
+    if file.suffix != ".py" or known != str(file.resolve()):
+        raise ValueError(f"{file} must be a Python file whose name is not that of another module: rename it")
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    with _users_code(f"{file} cannot be imported"):
+        import_module(name)
 
 
 @contextmanager

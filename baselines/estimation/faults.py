@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from auv_gym.physics.actuators import LONGEST_DELAY
+from auv_gym.effects.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import Force
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.vehicle import Coefficients

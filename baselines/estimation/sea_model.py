@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple, TypeAlias
 
-from auv_gym.physics.actuators import Response, respond
+from auv_gym.effects.actuators import Response, respond
 from auv_gym.physics.dynamics import CurrentVelocity, Force, Load, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Namespace, Number

@@ -22,6 +22,8 @@ from typing import Any
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, recorded_digests
+from auv_gym.effects import PACKAGE
+from auv_gym.effects.base import source_of
 from auv_gym.planning import kernels as planning
 from auv_gym.scenarios import exogenous
 from auv_gym.scenarios.presets import PRESETS
@@ -82,7 +84,8 @@ def simulator_fingerprint(scenarios: Iterable[Scenario]) -> str:
     """Return the fingerprint of the simulation of some scenarios and of the metrics."""
     parts = {scenario.parts: scenario for scenario in scenarios}
     kernels = {digest for scenario in parts.values() for digest in _simulation(scenario)}
-    sources = " ".join((*sorted(kernels), planning.planning_digest(), exogenous.digest()))
+    own = sorted({source_of(effect) for used in parts for effect in used.effects if effect not in PACKAGE})
+    sources = " ".join((*sorted(kernels), planning.planning_digest(), exogenous.digest(), *own))
     return f"{_hash(sources)[:20]}.{code_fingerprint(*MEASURES)}"
 
 

@@ -26,6 +26,8 @@ class Options:
     policies. Or "presets": all presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios instead of a suite: names of presets, or .toml and .json files."""
+    effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
+    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Number of episodes of each policy in each scenario. Default: 20; in a frozen suite all of them."""
     seed: int = 0

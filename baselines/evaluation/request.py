@@ -7,11 +7,12 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from baselines.agents.loading import caution
+from baselines.agents.loading import caution, load_effects
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import RecordedRuns, recorded_runs, speed_ranges_of
@@ -54,6 +55,7 @@ class Request:
             UsageError: an option is wrong; the message says what is allowed.
         """
         _check(options)
+        import_effects(options.effects)
         names = checked_policies((EXPERT, *options.policy))
         suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
         frozen = suite in list_suites()
@@ -122,6 +124,12 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios.values())
     digest = hashlib.sha256(" ".join(cell.hash for cell in cells).encode()).hexdigest()
     return cells, digest, RecordedRuns((), ())
+
+
+def import_effects(files: Iterable[Path]) -> None:
+    """Import the files of the option --effects; raise UsageError if one cannot be imported."""
+    for file in files:
+        checked(partial(load_effects, file))
 
 
 def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:

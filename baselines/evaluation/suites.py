@@ -20,14 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.disturbances import Current, Waves
-from auv_gym.physics.faults import Fault
-from auv_gym.physics.namespaces import Array
+from auv_gym.effects.current import Current
+from auv_gym.effects.faults import Fault
+from auv_gym.effects.waves import Waves
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import from_record, guarded, to_record
 from auv_gym.scenarios.scenario import Scenario, path_from, path_record
-from baselines.control.privileged.truth import samples
+from auv_gym.task.simulation import measurement_errors
+from baselines.control.privileged.truth import Truth
 from baselines.evaluation.cells import Cell
 from baselines.evaluation.score import speed_range_of
 from baselines.tools.files import data_files
@@ -133,9 +135,10 @@ def cell_digest(cell: Cell) -> Array:
     They are x, y, F_u, F_r of the reference at the end of the episode, and V_x, the sway force of the waves and the
     measurement errors of x and r after a third of it.
     """
-    rows = samples(cell.scenario, cell.episodes)
-    end, third = rows[-1], rows[cell.scenario.steps // 3]
-    return np.stack((*end[[0, 1, 6, 7]], *third[[8, 11, 13, 18]]), axis=1)
+    truth = Truth.of(cell.scenario, cell.episodes)
+    end, third = truth.samples[-1], truth.samples[cell.scenario.steps // 3]
+    n_x, *_, n_r = measurement_errors(tuple(third), truth.parameters, ARRAYS)
+    return np.stack((*end[[0, 1, 6, 7]], *third[[8, 11]], n_x, n_r), axis=1)
 
 
 def check_cell(cell: Cell, recorded: Array) -> None:

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from auv_gym.physics.actuators import fin_share
+from auv_gym.effects.actuators import fin_share
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import SPEED_RANGES

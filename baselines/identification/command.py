@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import tomli_w
 from tyro.conf import Positional, arg
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model

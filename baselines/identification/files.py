@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.namespaces import ARRAYS
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.steering import Stern
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import Vehicle

@@ -16,7 +16,7 @@ from scipy.signal import savgol_filter
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.actuators import Response, respond
+from auv_gym.effects.actuators import Response, respond
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
 from baselines.identification.log import Log

@@ -18,7 +18,7 @@ import numpy as np
 from auv_gym.codegen.derivatives import directional
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.actuators import Response, respond
+from auv_gym.effects.actuators import Response, respond
 from auv_gym.physics.dynamics import Load, State, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Array, Indices, Number
@@ -68,7 +68,7 @@ _INPUTS = 13  # number of inputs of a time step, without the initial state of a 
 def parameter_names(kind: str, wind: bool = False, runs: int = 1) -> tuple[str, ...]:
     """Return the names of the parameters of a log, without the initial states of segments.
 
-    Both actuators have the same lag, as in `auv_gym.physics.actuators.Actuators`. Each run has its own current.
+    Both actuators have the same lag, as in `auv_gym.effects.actuators.Actuators`. Each run has its own current.
     """
     actuators = (*STERN_NAMES[kind], AHEAD) if STERN_NAMES[kind] else LIMIT_NAMES
     currents = [f"{name}{'' if runs == 1 else f' {k + 1}'}" for k in range(runs) for name in CURRENT_NAMES]

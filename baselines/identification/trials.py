@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from auv_gym.physics.actuators import Actuators, Response, respond
+from auv_gym.effects.actuators import Actuators, Response, respond
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import FLOATS
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import Vehicle
 from baselines.identification.log import Log
 

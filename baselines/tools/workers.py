@@ -65,7 +65,7 @@ class Workers:
 def _in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
     """Yield the results of `jobs` worker processes."""
     calls, found = [joblib.delayed(function)(*task) for task in tasks], None
-    each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
+    each = {"inner_max_num_threads": 1, "initializer": _begin, "initargs": (os.getpid(), tuple(sys.path))}
     with _crashes_as_worker_errors():
         try:
             with joblib.parallel_config(backend="loky", **each), _interrupts_blocked():
@@ -92,8 +92,9 @@ class ProcessObjects:
     def __init__(self, make: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], processes: int = 1) -> None:
         self._count, spawn = len(arguments), multiprocessing.get_context("spawn")
         mine, *others = (arguments[j::processes] for j in range(min(processes, self._count)))
+        begin = _begin, (os.getpid(), tuple(sys.path))
         with _interrupts_blocked():  # joblib would replace a process whose memory grows, and lose the objects
-            self._others = [futures.ProcessPoolExecutor(1, spawn, _end_with, (os.getpid(),)) for _ in others]
+            self._others = [futures.ProcessPoolExecutor(1, spawn, *begin) for _ in others]
             self._made = [pool.submit(_make, make, share) for pool, share in zip(self._others, others, strict=True)]
         self._mine = [make(*one) for one in mine]
 
@@ -158,8 +159,12 @@ def _interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with(parent: int) -> None:
-    """Start a thread that ends this worker process when its parent ends, even if the parent is killed."""
+def _begin(parent: int, path: Sequence[str]) -> None:
+    """Begin a worker process, which imports from the same places as its parent.
+
+    A thread ends it when its parent ends, even if the parent is killed.
+    """
+    sys.path[:] = path
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -21,7 +21,7 @@ from auv_gym.scenarios.records import read_table
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
-from baselines.evaluation.request import checked_scenario
+from baselines.evaluation.request import checked_scenario, import_effects
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
 from baselines.tools.workers import Workers
@@ -66,6 +66,8 @@ class Options:
     vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
     """Vehicle to train for, a published one by name or a .toml file. The scenarios are adapted to it. Scenarios that
     are too slow for its fins are left out."""
+    effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
+    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     seed: int = 0
     """Seed of networks, exploration and episodes."""
     seeds: int = 1
@@ -107,6 +109,7 @@ def checked_request(options: Options, command: str = "") -> TrainingRequest:
         UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
     """
     workers = checked(partial(Workers.of, options.jobs))
+    import_effects(options.effects)
     configs = checked(partial(configurations, options))
     out = options.out or Path("runs/train") / _name(options)
     folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)

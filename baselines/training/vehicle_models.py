@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.fitting import adapted

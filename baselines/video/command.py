@@ -14,7 +14,7 @@ from gymnasium.error import DependencyNotInstalled
 from tyro.conf import arg
 
 from auv_gym.rendering.renderer import FRAME_SIZES
-from baselines.evaluation.request import checked_policies, checked_scenario
+from baselines.evaluation.request import checked_policies, checked_scenario, import_effects
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, parse, printable
@@ -40,6 +40,8 @@ class Options:
     """One to five policies, by name, file or folder, from left to right."""
     scenario: str = "cruise-storm"
     """A preset's name, or a .toml or .json file."""
+    effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
+    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     seed: int = 0
     """Seed of the episode."""
     out: Path = Path("runs/video.webp")
@@ -58,6 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command; see `run` of `baselines.tools.command_line`."""
     options = parse(Options, arguments, PROGRAM)
     size = _checked_size(options)
+    import_effects(options.effects)
     scenario = checked_scenario(options.scenario)
     frames = min(scenario.duration / options.speed, options.seconds or math.inf) * options.fps
     if frames > MOST_FRAMES:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import Backstepping
 from baselines.evaluation.cells import drawn

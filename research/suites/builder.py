@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Spline
 from auv_gym.planning.planner import plan

@@ -17,8 +17,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.scenarios.mixtures import slewing
 from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start

@@ -14,15 +14,13 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.actuators import ordered
 from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.vehicles import vehicle_model
 from auv_gym.task.kernels import ACTIONS, OUTCOMES, MakeSimulator, Outcome, Side
 from auv_gym.task.observation import SIZE, encode
-from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Parts, Plant, current_at, step
+from auv_gym.task.simulation import LOAD, Parameters, Parts, Plant, current_at, ordered, step
 from research.transfer.otter import OTTER, Otter
 from research.transfer.remus100 import REMUS100, Remus100
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, ModelInputs
@@ -142,8 +140,8 @@ class SimulatorBodies:
         simulator: the vehicles, with `place` and `advance` as `SixDofSimulator`.
         known: the planar model of the vehicle.
         parts: optional parts of the simulation that are in use.
-        samples: array for the rows of `simulation.Sample`, shape (T, SAMPLE_ROWS, N).
-        parameters: array for the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+        samples: array for the rows of `simulation.Sample`, shape (T, `Parts.sample_rows`, N).
+        parameters: array for the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
     """
 
     def __init__(
@@ -151,13 +149,13 @@ class SimulatorBodies:
     ) -> None:
         n = samples.shape[-1]
         self.parts, self.action, self.outcome = parts, np.zeros((ACTIONS, n)), np.zeros((OUTCOMES, n))
-        self.now = Side(np.zeros((PLANT_ROWS, n)), np.zeros((SIZE, n)))
+        self.now = Side(np.zeros((parts.plant_rows, n)), np.zeros((SIZE, n)))
         self._known, self._samples, self._rows, self._simulator = known, samples, parameters, simulator
 
     @property
     def plant(self) -> Plant:
         """The present state of the plant: rows of shape (N,)."""
-        return unflatten(PLANT, tuple(self.now.plant))
+        return Plant.of(tuple(self.now.plant))
 
     def place(self, indices: Any, plant: Array, observation: Array) -> None:
         """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
@@ -174,7 +172,7 @@ class SimulatorBodies:
             )
             observation = encode(terms, ARRAYS, self.parts.bound_factor)
         self.outcome[:] = Outcome(reward, failed, np.sqrt(squared), saturated)
-        self.now = Side(np.stack(flatten(plant)), np.asarray(observation))
+        self.now = Side(np.stack(plant.rows), np.asarray(observation))
 
     def undo(self) -> None:
         """Raise RuntimeError. Only an environment that cannot plan an episode undoes a step; `rollout` plans none."""
@@ -184,9 +182,7 @@ class SimulatorBodies:
         self, state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
     ) -> tuple[State, Force]:
         """Return state and actuator forces one control period later, see `simulation.moved`."""
-        x, y, _, u, *_ = state
-        _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
-        inputs = ModelInputs(*ordered(command, u, p, ns), *current_at(x, y, (V_x, V_y), p, ns), X, Y, N)
+        inputs = ModelInputs(*ordered(command, state, sample, p, ns), *current_at(state, sample, p, ns), *sample[LOAD])
         after, forces = self._simulator.advance(np.stack(inputs), float(np.max(p.h)) * p.parts.substeps)
         return (after[0], after[1], after[2], after[3], after[4], after[5]), (forces[0], forces[1])
 

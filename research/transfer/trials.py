@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.presets import PRESETS

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.effects.navigation import RandomReckoning, heading_errors
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.intervals import Interval, draw
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.navigation import RandomReckoning, heading_errors
-from auv_gym.physics.sensors import Sensors
 from baselines.identification.columns import Format
 
 SNAPIR = "snapir"

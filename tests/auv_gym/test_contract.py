@@ -9,13 +9,13 @@ import pytest
 from contract import WithMemory, assert_same_runs, together
 from gymnasium.vector import AutoresetMode
 
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent
-from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
-from auv_gym.physics.navigation import RandomReckoning
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import PATHS

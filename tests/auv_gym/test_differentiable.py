@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.differentiable import TENSORS, episodes, simulate
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.faults import FAULT_KINDS, RandomFaults
-from auv_gym.physics.navigation import RandomReckoning
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.task.observation import SCALES

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.effects.current import Current, RandomCurrent
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.intervals import draw
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Line
@@ -40,7 +42,7 @@ def episodes(scenario, count, seed=0):
 
 
 def loaded(scenario, drawn):
-    inputs = ExogenousInputs(len(drawn), BLOCK)
+    inputs = ExogenousInputs(len(drawn), BLOCK, scenario.parts)
     for i, episode in enumerate(drawn):
         inputs.load(i, scenario, episode, TABLE)
     return inputs
@@ -161,7 +163,7 @@ def test_the_seed_determines_all_numbers():
 def test_samples_in_calm_water_are_zero_also_beside_and_after_a_storm():
     calm, (storm,) = Scenario(path=SEA.path), episodes(SEA, 1)
     (quiet,) = episodes(calm, 1)
-    inputs = ExogenousInputs(2, BLOCK)
+    inputs = ExogenousInputs(2, BLOCK, SEA.parts)
     inputs.load(0, SEA, storm, TABLE)
     inputs.load(1, calm, quiet, TABLE)
     assert not inputs.read([0, 1], BLOCK)[:, 8:19, 1].any()

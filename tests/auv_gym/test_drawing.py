@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.sub_environments import SubEnvironments
-from auv_gym.physics.disturbances import RandomCurrent
-from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios import exogenous
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
@@ -21,7 +21,7 @@ def test_noise_equals_that_of_numpy(gust):
     """Hundreds of thousands of numbers, read in blocks, to the last bit."""
     sensors, n_envs, steps = Sensors(1.0, 1.0, 1.0, 1.0), 40, 900
     scenario = replace(STORM, sensors=sensors, current=RandomCurrent(speed=0.1, gust=gust) if gust else None)
-    inputs, width = ExogenousInputs(n_envs, 300), 8 if gust else 6
+    inputs, width = ExogenousInputs(n_envs, 300, scenario.parts), 8 if gust else 6
     rng = np.random.default_rng(1)
     episodes = [scenario.draw(rng) for _ in range(n_envs)]
     for i, episode in enumerate(episodes):

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from auv_gym.effects.faults import FAULT_KINDS, Fault, RandomFaults, fault_rows
+from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.faults import FAULT_KINDS, Fault, RandomFaults, fault_rows
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.observation import decode_observation
 
@@ -53,6 +54,23 @@ def test_an_actuator_fails_only_during_its_fault(kind, row, how):
         "one way": np.maximum(whole[during, row], 0.0),
     }
     np.testing.assert_allclose(forces[during, row], expected[how], atol=1e-9)
+
+
+@pytest.mark.parametrize("fixes", ["always", "outages", "reckoning"])
+def test_a_frozen_position_stays_in_every_kind_of_navigation(fixes):
+    """A known position: the measured one is the reference plus the measured error."""
+    some = {"outages": 1e-6} if fixes == "outages" else {"reckoning": RandomReckoning()} if fixes == "reckoning" else {}
+    scenario = replace(STORM, faults=RandomFaults(("all frozen",)), sensors=replace(STORM.sensors, **some))
+    env = UnderactuatedAUVTrackEnv(scenario)
+    episode = replace(scenario.draw(np.random.default_rng(3)), faults=(fault("all frozen"),))
+    observation, _ = env.reset(options={"episode": episode})
+    positions = []
+    for _ in range(END + 5):
+        o, R = decode_observation(observation), env.reference
+        positions.append(complex(R.x, R.y) + complex(o.e_x, o.e_y) * complex(o.cos_psi, o.sin_psi))
+        observation, *_ = env.step(np.array([0.5, 0.1]))
+    assert np.abs(np.diff(positions[BEGIN - 1 : END])).max() < 1e-9
+    assert abs(positions[END] - positions[END - 1]) > 0.1
 
 
 @pytest.mark.parametrize(

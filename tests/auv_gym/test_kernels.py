@@ -11,51 +11,49 @@ import pytest
 
 from auv_gym import PRESETS
 from auv_gym.codegen import native
+from auv_gym.effects import PACKAGE
 from auv_gym.envs.residual import ResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import FLOATS
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.task.kernels import step_kernel
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.simulation import (
-    PARAMETER_ROWS,
-    PLANT,
-    PLANT_ROWS,
     SAMPLE_ROWS,
     Parameters,
     Parts,
+    Plant,
     step,
 )
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping, StabilityWarning
 from baselines.control.open_loop import OpenLoop, Zero
 
-N = 9
+N, PARTS = 9, Parts()
 
 
-def numbers(rng, n=N):
+def numbers(rng, parts=PARTS, n=N):
     """Return plausible plants, actions, samples and parameters, rows of n vehicles."""
-    plant, samples = rng.normal(size=(PLANT_ROWS, n)), rng.normal(size=(SAMPLE_ROWS, n))
-    samples[-1] = rng.integers(0, 2, n)
-    parameters = rng.uniform(0.5, 1.5, (PARAMETER_ROWS, n))
+    plant, samples = rng.normal(size=(parts.plant_rows, n)), rng.normal(size=(parts.sample_rows, n))
+    samples[SAMPLE_ROWS:] = rng.integers(0, 2, (parts.sample_rows - SAMPLE_ROWS, n))
+    parameters = rng.uniform(0.5, 1.5, (parts.parameter_rows, n))
     parameters[0] *= 0.1
     return plant, rng.uniform(-1.2, 1.2, (2, n)), samples, parameters
 
 
-@pytest.mark.parametrize("flags", [[k == j for k in range(6)] for j in range(7)] + [[True] * 6])
-def test_a_step_equals_the_simulation_for_all_parts(flags):
-    parts = Parts(2, *flags, crossed=all(flags))
-    plant, action, sample, parameters = numbers(np.random.default_rng(0))
+@pytest.mark.parametrize("effects", [(), *((one,) for one in PACKAGE), PACKAGE], ids=str)
+def test_a_step_equals_the_simulation_for_all_effects(effects):
+    parts = Parts(2, effects)
+    plant, action, sample, parameters = numbers(np.random.default_rng(0), parts)
     given = {"plant": plant, "seen": np.zeros((SIZE, N)), "action": action, "authority": np.zeros((2, N))}
     found = step_kernel(parts)(1, **given, samples=sample[None], parameters=parameters)
     for i in range(N):
         columns = (a[:, i].tolist() for a in (plant, action, sample, parameters))
         before, command, inputs, constants = columns
         after, terms, (reward, failed, squared, saturated) = step(
-            unflatten(PLANT, before), command, inputs, Parameters.of(constants, parts), FLOATS
+            Plant.of(before), command, inputs, Parameters.of(constants, parts), FLOATS
         )
-        np.testing.assert_allclose(found["next_plant"][:, i], flatten(after), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(found["next_plant"][:, i], after.rows, rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(
             found["next_seen"][:, i], encode(terms, FLOATS, bound_factor=1), rtol=1e-12, atol=1e-13
         )

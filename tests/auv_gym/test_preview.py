@@ -6,7 +6,7 @@ import pytest
 
 import baselines
 from auv_gym import PRESETS, Scenario
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.sensors import Sensors
 from auv_gym.planning.paths import Spline
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.task.observation import SIZE, decode_observation

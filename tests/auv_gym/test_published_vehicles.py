@@ -14,11 +14,12 @@ from matrix_form import matrix_form
 from vehicle_sources import SOURCES
 
 from auv_gym import PRESETS, Scenario, list_vehicles
+from auv_gym.effects.actuators import LEAST_SHARE, Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.actuators import LEAST_SHARE, Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomWaves
-from auv_gym.physics.navigation import RandomReckoning
-from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError

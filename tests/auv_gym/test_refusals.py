@@ -5,11 +5,13 @@ from dataclasses import fields
 
 import pytest
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.physics.faults import RandomFaults
-from auv_gym.physics.navigation import RandomReckoning
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.faults import RandomFaults
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.waves import RandomWaves
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
 NEEDED = {RandomFaults: {"kinds": ("yaw dead",)}, RandomPath: {"speed": 1.0, "turn_rate": 0.1}}

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
+from auv_gym.effects.actuators import Actuators, Response, respond
+from auv_gym.effects.sensors import Sensors, low_pass
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.actuators import Actuators, Response, respond
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
-from auv_gym.physics.sensors import Sensors, low_pass
 from auv_gym.scenarios.scenario import Scenario
 
 INF = math.inf

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from auv_gym.effects.actuators import Reach
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import ERROR_TERMS, Observation
-from auv_gym.task.simulation import Parts, Plant, Sample, Shear, start, step
+from auv_gym.task.simulation import Parts, Plant, Sample, start, step
 
 IMMEDIATE = (1.0, 1.0, math.inf, math.inf)
 CONSTANTS = (
@@ -21,22 +22,15 @@ CONSTANTS = (
         F_u_max=400.0,
         F_r_max=200.0,
         response=IMMEDIATE,
-        filter_gain=1.0,
         error_scale=0.5,
         rate_weight=0.05,
         lost_distance=30.0,
         thrust_u=400.0,
         thrust_r=200.0,
-        reach_u=1.0,
-        reach_r=1.0,
-        delay=0.0,
-        fin=0.0,
-        astern=1.0,
-        shear=Shear(0.0, 0.0, 0.0, 0.0, 0.0),
         parts=Parts(),
     )
 )
-STILL = Sample(*(0.0,) * 19, fix=1.0, fault=0.0)
+STILL = Sample(*(0.0,) * 19)
 
 
 def first_plant(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):
@@ -102,7 +96,7 @@ def test_saturation_on_both_sides_of_each_actuator(action, saturated):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_actuator_has_its_own_limit_and_saturation_level(sign):
-    weak = CONSTANTS._replace(thrust_u=300.0, thrust_r=100.0, reach_u=0.5, reach_r=0.25, parts=Parts(weak=True))
+    weak = CONSTANTS._replace(thrust_u=300.0, thrust_r=100.0, own=(0.5, 0.25), parts=Parts(effects=(Reach,)))
     plant, terms, _ = step(first_plant(), (sign, sign), STILL, weak, FLOATS)
     assert (plant.F_u, plant.F_r) == pytest.approx((sign * 150.0, sign * 25.0))
     assert (plant.a_u, plant.a_r) == (sign, sign)  # the observation has the commands and nominal limits

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.stiffness import AT_REST, MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle

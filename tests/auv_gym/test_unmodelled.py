@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from auv_gym.effects.actuators import LONGEST_DELAY, Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.physics.actuators import LONGEST_DELAY, Actuators
-from auv_gym.physics.disturbances import RandomCurrent
-from auv_gym.physics.sensors import Sensors
 from auv_gym.planning.paths import Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.identification.columns import FORMATS_FOLDER, Format
 from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, joined

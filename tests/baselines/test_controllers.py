@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 import baselines
+from auv_gym.effects.current import RandomCurrent
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.disturbances import RandomCurrent
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.vehicle import PAPER_VEHICLE as V

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from auv_gym.codegen.matrices import symmetric
+from auv_gym.effects.actuators import LONGEST_DELAY, Actuators
+from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.waves import RandomWaves, Waves
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.actuators import LONGEST_DELAY, Actuators
-from auv_gym.physics.disturbances import RandomCurrent, RandomWaves, Waves
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE

@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console
 
 import baselines
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario

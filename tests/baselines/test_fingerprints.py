@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import baselines
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.planning import kernels as planning
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from baselines.agents.agent import Agent

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from marks import slow_except
 
+from auv_gym.effects.faults import Fault, RandomFaults
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.faults import Fault, RandomFaults
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.stats import kstest
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import in_vehicle_units
 from auv_gym.scenarios.scenario import Scenario

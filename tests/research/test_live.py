@@ -79,7 +79,7 @@ def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_ra
 
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same random numbers for both
-    inputs = ExogenousInputs(1, LIVE_STEPS + 1)
+    inputs = ExogenousInputs(1, LIVE_STEPS + 1, scenario.parts)
     inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
     expected = inputs.read((0,), LIVE_STEPS + 1)[:, REFERENCE.stop :, 0]
     run = """([weather, waves, normals, rows, gusts]) => {

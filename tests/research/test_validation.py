@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.sensors import Sensors
+from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.identification import identify
 from baselines.identification.trials import example

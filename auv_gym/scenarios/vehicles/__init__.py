@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path as FilePath
 from typing import Any
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units

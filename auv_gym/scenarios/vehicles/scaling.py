@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from auv_gym.physics.actuators import Actuators
+from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.units import Units

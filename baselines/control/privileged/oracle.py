@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.actuators import LEAST_SHARE, fin_share
+from auv_gym.effects.actuators import LEAST_SHARE, Fins, Reach, fin_share
+from auv_gym.effects.current import Shear
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body, tracking_errors
 from auv_gym.physics.namespaces import ARRAYS, Array
@@ -120,15 +121,16 @@ def regulator_actions(
     """
     p, columns = plan.truth.parameters, np.arange(len(k))
     *then, F_u, F_r = plan.truth.state_after_delay(state, force, sent, k)
-    acting = np.minimum(k + p.delay.astype(int), len(plan.force) - 1)
+    acting = np.minimum(k + np.asarray(plan.truth.delay, dtype=np.int64), len(plan.force) - 1)
     target, feedforward = plan.state[acting, :, columns].T, plan.force[acting, :, columns].T
     x_e, y_e, psi_e, *velocity_errors = tracking_errors(cast(Any, tuple(then)), cast(Any, tuple(target)), ARRAYS)
     psi = then[2]
     errors = np.stack((*to_body(x_e, y_e, np.cos(psi), np.sin(psi)), psi_e, *velocity_errors))
     mean, applied = feedforward + np.einsum("nij,jn->in", gains, errors), np.stack((F_u, F_r))
     command = applied + (mean - applied) / (p.response.gain * p.response.mean)
-    torque = p.thrust_r * np.maximum(fin_share(then[3], p.fin, p.F_r_max, ARRAYS), LEAST_SHARE)
-    limits, reach = np.stack((p.thrust_u, torque)), np.stack((p.reach_u, p.reach_r))
+    share = fin_share(then[3], np.asarray(p.constants(Fins).fin), p.F_r_max, ARRAYS)
+    torque = p.thrust_r * np.maximum(share, LEAST_SHARE)
+    limits, reach = np.stack((p.thrust_u, torque)), np.stack([np.broadcast_to(x, len(k)) for x in p.constants(Reach)])
     return np.asarray(np.clip(command / limits, -reach, reach))
 
 
@@ -203,7 +205,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate_paths([e.path for e in episodes], times)
     x, y = motion[0]
-    V += np.stack(truth.parameters.shear.velocity(x, y, ARRAYS), axis=1)
+    V += np.stack(truth.parameters.constants(Shear).velocity(x, y, ARRAYS), axis=1)
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)

@@ -25,12 +25,12 @@ from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import congruence, dot, symmetric, triangle
+from auv_gym.effects.actuators import Reach
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.rows import flatten
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
+from auv_gym.task.simulation import SAMPLE, Parameters, Parts, moved
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
@@ -52,10 +52,10 @@ STEADY_RMSE = 3
 class Problem:
     """Data of N episodes of K control periods."""
 
-    parts: Parts  # parts of the simulation on which the commands depend
+    parts: Parts  # of the simulation
     begun: Array  # initial state, shape (PLANT_STATES, N)
-    samples: Array  # entries of the `Sample` at the end of each period, shape (K, SAMPLE_ROWS, N)
-    parameters: Array  # entries of the `Parameters`, shape (PARAMETER_ROWS, N)
+    samples: Array  # entries of the `Sample` at the end of each period, shape (K, `Parts.sample_rows`, N)
+    parameters: Array  # entries of the `Parameters`, shape (`Parts.parameter_rows`, N)
     limits: Array  # of the commands; zero until the first command acts, shape (K, COMMAND_ROWS, N)
     weight: Array  # w_k in (1) [1/m^2 of this vehicle], shape (K, 1, N)
     delay: NDArray[np.int64]  # control periods until a command acts, shape (N,)
@@ -71,15 +71,15 @@ class Problem:
         truth, n, steps = Truth.of(scenario, episodes), len(episodes), scenario.steps
         p, samples = truth.parameters, truth.samples
         begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
-        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in flatten(p)])
-        delay = np.broadcast_to(np.asarray(p.delay), n).astype(np.int64)
-        reach = np.minimum(1.0, np.stack((np.broadcast_to(p.reach_u, n), np.broadcast_to(p.reach_r, n))))
+        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in p.rows])
+        delay = np.broadcast_to(np.asarray(truth.delay), n).astype(np.int64)
+        reach = np.minimum(1.0, np.stack([np.broadcast_to(share, n) for share in p.constants(Reach)]))
         acts = np.arange(steps)[:, None] >= delay
         weight = np.full((steps, 1, n), TRANSIENT_WEIGHT / steps)
         weight[steps // STEADY_RMSE :] = 1.0 / (steps - steps // STEADY_RMSE)
         unit = Units.of(scenario.vehicle).length
         return cls(
-            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False, bound_factor=1),
+            p.parts,
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,
@@ -222,8 +222,7 @@ def _ranges(state: Sequence[Any], limits: Sequence[Any], p: Parameters) -> list[
 
 def _position_error(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:
     """Return the position error [m] at the end of a period."""
-    reference = Sample(*sample)
-    return after[0] - reference.x_R, after[1] - reference.y_R
+    return after[0] - sample[SAMPLE.x_R], after[1] - sample[SAMPLE.y_R]
 
 
 @cache
@@ -250,7 +249,7 @@ def simulation_kernel(parts: Parts) -> Kernel:
         "planned": PLANT_STATES,
         "gains": COMMAND_ROWS * PLANT_STATES,
     }
-    rows |= {"limits": COMMAND_ROWS, "sample": SAMPLE_ROWS, "weight": 1, "parameters": PARAMETER_ROWS}
+    rows |= {"limits": COMMAND_ROWS, "sample": parts.sample_rows, "weight": 1, "parameters": parts.parameter_rows}
     over_time = ("command", "planned", "gains", "limits", "sample", "weight", "states", "applied", "error")
     return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
@@ -291,6 +290,6 @@ def riccati_kernel(parts: Parts) -> Kernel:
         "command": COMMAND_ROWS,
         "limits": COMMAND_ROWS,
     }
-    rows |= {"sample": SAMPLE_ROWS, "weight": 1, "parameters": PARAMETER_ROWS, "damping": 1}
+    rows |= {"sample": parts.sample_rows, "weight": 1, "parameters": parts.parameter_rows, "damping": 1}
     over_time = ("state", "command", "limits", "sample", "weight", "step", "feedback")
     return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.actuators import LONGEST_DELAY
+from auv_gym.effects import PACKAGE
+from auv_gym.effects.actuators import LONGEST_DELAY, Delay
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Plant, step
+from auv_gym.task.simulation import Parameters, Plant, step
 from baselines.policy import Memory
 
 BODY = 8  # number of the first entries of a `Plant`, state and actuators' forces
@@ -31,7 +31,7 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
         InfeasibleReferenceError: an episode's path cannot be followed.
     """
     n, instants = len(episodes), scenario.steps + 1
-    inputs = ExogenousInputs(n, instants)
+    inputs = ExogenousInputs(n, instants, scenario.parts)
     for i, episode in enumerate(episodes):
         inputs.load(i, scenario, episode, scenario.planner.table(episode.path))
     return inputs.read(np.arange(n), instants)
@@ -50,9 +50,17 @@ class Truth:
 
         Raises:
             InfeasibleReferenceError: an episode's path cannot be followed.
+            ValueError: the scenario has an effect that is not one of the package.
         """
-        rows = np.array([flatten(scenario.parameters(episode)) for episode in episodes]).T
+        if own := [effect.name for effect in scenario.parts.effects if effect not in PACKAGE]:
+            raise ValueError(f"full information does not include the effect {own[0]!r}: leave this policy out")
+        rows = np.array([scenario.parameters(episode).rows for episode in episodes]).T
         return cls(Parameters.of(tuple(rows), scenario.parts), samples(scenario, episodes))
+
+    @property
+    def delay(self) -> Any:
+        """Control periods until a command acts, a number or shape (N,)."""
+        return self.parameters.constants(Delay).periods
 
     def state_after_delay(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
         """Return state and forces when the next command begins to act, shape (8, N); without delay, those of now.
@@ -63,16 +71,17 @@ class Truth:
             sent: the last `LONGEST_DELAY` actions, the latest first, shape (LONGEST_DELAY, 2, N).
             k: the control step of each episode, shape (N,).
         """
-        zero, (last, second, third) = np.zeros(len(k)), sent
-        empty = unflatten(PLANT.memory, (zero,) * PLANT_ROWS)  # states of sensors do not matter
-        (a_u_2, a_r_2), (a_u_3, a_r_3) = second, third
-        memory = empty._replace(a_u_2=a_u_2, a_r_2=a_r_2, a_u_3=a_u_3, a_r_3=a_r_3)
-        plant = Plant._make((*state, *force, *last, memory))
+        zero, (last, second, third), places = np.zeros(len(k)), sent, self.parameters.parts.places
+        memory = [zero] * places.sizes[1]  # states of sensors do not matter
+        if (place := places.memory.get(Delay)) is not None:
+            memory[place] = *second, *third
+        plant = Plant._make((*state, *force, *last, tuple(memory)))
         after = np.stack(plant[:BODY])
-        for j in range(int(self.parameters.delay.max())):
+        delay = np.broadcast_to(self.delay, len(k))
+        for j in range(int(delay.max())):
             sample = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T
             plant, _, _ = step(plant, (zero, zero), tuple(sample), self.parameters, ARRAYS)
-            after = np.where(self.parameters.delay > j, np.stack(plant[:BODY]), after)
+            after = np.where(delay > j, np.stack(plant[:BODY]), after)
         return after
 
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, cast
 
+from auv_gym.effects.mismatch import CrossFlow
 from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.physics.rows import flatten, unflatten
 from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Coefficients, with_names
 from auv_gym.task import simulation
 from auv_gym.task.observation import Observation, action_of, decode, encode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
 from auv_gym.task.preview import preview_columns
-from auv_gym.task.simulation import PLANT, Parameters, Parts
+from auv_gym.task.simulation import Parameters, Parts, Plant
 from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
@@ -138,18 +138,18 @@ class ClosedLoop:
             loss: of the step.
             ns: the namespace of the numbers.
         """
-        p, before = Parameters.of(parameters, self.parts), unflatten(PLANT, state)
+        p, before = Parameters.of(parameters, self.parts), Plant.of(state)
         rule = zip(base, authority, correction, strict=True)
         command = [corrected(b, largest, c, ns) for b, largest, c in rule]
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(flatten(plant), tuple(encode(terms, ns, self.parts.bound_factor)), squared_error, step_loss)
+        return Moved(plant.rows, tuple(encode(terms, ns, self.parts.bound_factor)), squared_error, step_loss)
 
 
 def known_rows(parts: Parts) -> int:
     """Return the number of rows of nominal models: `Vehicle.all_coefficients`, with cross terms if any vehicle has."""
-    return len(PARAMETER_NAMES) if parts.crossed else len(Coefficients._fields)
+    return len(PARAMETER_NAMES) if CrossFlow in parts.effects else len(Coefficients._fields)
 
 
 def with_model(expert: Backstepping, known: Coefficients) -> Forces:

@@ -17,7 +17,7 @@ from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.task.observation import ERROR_TERMS, SIZE, Observation
-from auv_gym.task.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
+from auv_gym.task.simulation import Parts
 from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved, known_rows
 
@@ -41,20 +41,23 @@ _STEERED = (*Observation._fields[:ERROR_TERMS], "cos_psi", "sin_psi", "F_r_max",
 STEERED = tuple(map(Observation._fields.index, _STEERED))
 """Terms of an observation that depend on the vehicle's motion; only these have derivatives. The largest torque is
 included, since that of fins depends on the speed."""
-MOVED = {
-    "state": PLANT_ROWS,
-    "base": OUTPUTS,
-    "correction": OUTPUTS,
-    "sample": SAMPLE_ROWS,
-    "parameters": PARAMETER_ROWS,
-    "chosen": len(RunConstants._fields),
-}
-"""Inputs of a control step with their numbers of rows."""
 FIXED = frozenset(
     ("parameters", "chosen", "known", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
 """Arrays without a time axis."""
 _PAPER = PAPER_VEHICLE.coefficients
+
+
+def moved_rows(parts: Parts) -> dict[str, int]:
+    """Return the inputs of a control step with their numbers of rows."""
+    return {
+        "state": parts.plant_rows,
+        "base": OUTPUTS,
+        "correction": OUTPUTS,
+        "sample": parts.sample_rows,
+        "parameters": parts.parameter_rows,
+        "chosen": len(RunConstants._fields),
+    }
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ class LoopKernels:
                 "squared_error": (moved.squared_error,),
             }
 
-        return self._traced(equation, MOVED)
+        return self._traced(equation, moved_rows(self.loop.parts))
 
     @cached_property
     def move_adjoint(self) -> Kernel:
@@ -135,11 +138,12 @@ class LoopKernels:
             share = RunConstants._make(arrays["chosen"]).share
             within = (*arrays["state"], *arrays["base"], *arrays["correction"])
             shares = gradient((*moved.state, *moved.observation, moved.loss), (*d_state, *d_observation, share), within)
-            state, base, correction = _split(shares, PLANT_ROWS, OUTPUTS, OUTPUTS)
+            state, base, correction = _split(shares, len(arrays["state"]), OUTPUTS, OUTPUTS)
             return {"d_state": state, "d_base": base, "d_correction": _sum(d_correction, correction)}
 
-        after = {"d_state": PLANT_ROWS, "d_observation": SIZE, "d_correction": OUTPUTS}
-        return self._traced(equation, MOVED | after)
+        rows = moved_rows(self.loop.parts)
+        after = {"d_state": rows["state"], "d_observation": SIZE, "d_correction": OUTPUTS}
+        return self._traced(equation, rows | after)
 
     @property
     def seen(self) -> dict[str, int]:

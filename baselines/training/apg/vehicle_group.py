@@ -15,7 +15,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import shared_preview, with_preview
-from auv_gym.task.simulation import SAMPLE_ROWS, Parts
+from auv_gym.task.simulation import Parts
 from baselines.agents.networks import OUTPUTS
 from baselines.control.backstepping import Backstepping
 from baselines.policy import Memory
@@ -101,9 +101,8 @@ class VehicleGroup:
     def _begin(self, preview: Sequence[int]) -> None:
         """Begin the first episode of every vehicle."""
         n, seed, window, inputs = len(self._first), self._members.seed, self._settings.n_steps, self._settings.inputs
-        self.sub_envs = SubEnvironments(self._first, preview)
         parts = {scenario.parts: None for scenarios in self._members.variants for scenario in scenarios}
-        self.sub_envs.parts = reduce(Parts.joined, parts)
+        self.sub_envs = SubEnvironments(self._first, preview, parts=reduce(Parts.joined, parts))
         self._memory: Memory | None = None  # of an expert that is not in the kernels
         self._rng = np.random.default_rng([seed, n, 1])  # of the model errors
         self.known: Array = np.empty((known_rows(self.sub_envs.parts), n))
@@ -148,11 +147,11 @@ class VehicleGroup:
         """Return preview and samples of the T steps of the next window, and advance the time to its end.
 
         The preview has displacements x, y of the reference in the world [m], see `Preview.ahead`, shape (T, 2 P, N).
-        The samples are those at the ends of the steps, shape (T, SAMPLE_ROWS, N).
+        The samples are those at the ends of the steps, shape (T, `Parts.sample_rows`, N).
         """
         steps, sub_envs, n = self._settings.n_steps, self.sub_envs, len(self.begins)
         self._left -= steps
-        ahead, samples = (np.empty((steps, rows, n)) for rows in (sub_envs.preview.columns, SAMPLE_ROWS))
+        ahead, samples = (np.empty((steps, rows, n)) for rows in (sub_envs.preview.columns, sub_envs.parts.sample_rows))
         for k in range(steps):
             if sub_envs.preview.periods:
                 ahead[k] = sub_envs.preview.ahead(sub_envs.all, sub_envs.k).reshape(-1, n)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.task.observation import SIZE
-from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
+from auv_gym.task.simulation import PARAMETERS, PLANT
 from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import Loss
-from baselines.training.apg.kernels import MOVED, LoopKernels, RunConstants
+from baselines.training.apg.kernels import LoopKernels, RunConstants, moved_rows
 from baselines.training.apg.network import NetworkArrays, TorchGru, TorchMlp, pass_of
 
 Act = Callable[[int, AnyArray], AnyArray]
@@ -33,7 +33,7 @@ CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 class Carried(NamedTuple):
     """The state from one control instant to the next: arrays whose last axis is that of the N vehicles."""
 
-    state: AnyArray  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
+    state: AnyArray  # rows of a `simulation.Plant`, shape (`Parts.plant_rows`, N)
     observation: AnyArray  # shape (SIZE, N)
     integrals: AnyArray  # of the features, shape (`Inputs.memory`, N)
     correction: AnyArray  # the last one, shape (OUTPUTS, N)
@@ -78,20 +78,21 @@ class TrainingWindow:
         self._exact, self._type = kernels.exact, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory, n = len(inputs.features), network.sizes.memory, len(objective.shares)
+        moved = moved_rows(kernels.loop.parts)
         self._carried = Carried(
-            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, OUTPUTS, memory))
+            *(self._zeros(steps + 1, rows, n) for rows in (moved["state"], SIZE, inputs.memory, OUTPUTS, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
-            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, OUTPUTS, 1)
+            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), moved["sample"], features, OUTPUTS, 1)
         )
-        self._parameters = self._zeros(MOVED["parameters"], n)
+        self._parameters = self._zeros(moved["parameters"], n)
         chosen = (*authority, *objective.loss, objective.shares / steps)  # a `RunConstants`
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
         self._known = {name: self._zeros(rows, n) for name, rows in kernels.seen.items() if name == "known"}
         self._d = {
             name: self._zeros(rows, n)
             for name, rows in (
-                ("d_state", PLANT_ROWS),
+                ("d_state", moved["state"]),
                 ("d_observation", SIZE),
                 ("d_integrals", inputs.memory),
                 ("d_base", OUTPUTS),
@@ -150,8 +151,8 @@ class TrainingWindow:
         Args:
             carried: state at the start of the window; the backward pass ends here.
             ahead: the preview of the network's inputs in the world [m], shape (T, 2 P, N).
-            samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
-            parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+            samples: the rows of `simulation.Sample`s, shape (T, `Parts.sample_rows`, N).
+            parameters: the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
             act: the expert; it is called only if it is not in the kernels.
             known: the nominal models of the vehicles, shape (`known_rows`, N).
 

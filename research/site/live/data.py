@@ -90,7 +90,8 @@ def data(agents: Mapping[str, Exported]) -> str:
 
 def _places(row: Any) -> dict[str, int]:
     """Return the index of each field of a row, by name; of a nested field the index of its first number."""
-    return {name: place if isinstance(place, int) else flatten(place)[0] for name, place in row._asdict().items()}
+    places = ((name, place) for name, place in row._asdict().items() if place != ())
+    return {name: place if isinstance(place, int) else flatten(place)[0] for name, place in places}
 
 
 def scenario_of(speed_range: str, case: str, path: Path) -> Scenario:

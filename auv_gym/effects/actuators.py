@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from auv_gym.effects.base import At, Effect
 from auv_gym.physics.dynamics import Force
 from auv_gym.physics.intervals import Interval, check_interval, check_number
 from auv_gym.physics.namespaces import Namespace, Number
@@ -60,20 +61,6 @@ def known_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Numb
     return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
 
 
-def ordered(command: Force, u: Number, p: Any, ns: Namespace) -> Force:
-    """Return the force [N] and torque [N m] that reach the actuators, before their lag.
-
-    Args:
-        command: fractions of the force and torque of action 1.
-        u: surge speed [m/s] through water, for the torque of fins.
-        p: the episode's constants, `simulation.Parameters`.
-        ns: the namespace of the numbers.
-    """
-    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
-    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
-    return a_u * p.thrust_u, command[1] * thrust_r
-
-
 class Response(NamedTuple):
     """One control step of the actuators: floats, or rows of shape (N,)."""
 
@@ -103,3 +90,90 @@ def respond(force: Force, command: Force, response: Response, ns: Namespace) -> 
     change_u = ns.clip(gain * (command[0] - F_u), -slew_u, slew_u)
     change_r = ns.clip(gain * (command[1] - F_r), -slew_r, slew_r)
     return (F_u + mean * change_u, F_r + mean * change_r), (F_u + change_u, F_r + change_r)
+
+
+class Delay(Effect):
+    """A command acts some control periods later: `Actuators.delay`."""
+
+    what = "a delay"
+    entry, drawn, numbers = ("actuators.delay", 0), ("delay", 0), "episode.delay"
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        periods: Number  # control periods until a command acts
+
+    class Memory(NamedTuple):
+        """Earlier actions; the last one is in the plant."""
+
+        u_2: Number  # surge and yaw two control steps ago
+        r_2: Number
+        u_3: Number  # three control steps ago
+        r_3: Number
+
+    @staticmethod
+    def command(command: Force, memory: Memory, at: At) -> tuple[Force, Memory]:
+        """Return the command that was sent `periods` earlier."""
+        periods, (u_1, r_1), (u_2, r_2, u_3, r_3), ns = at.own.periods, at.last_action, memory, at.ns
+
+        def chosen(now: Number, one: Number, two: Number, three: Number) -> Number:
+            return ns.where(periods < 0.5, now, ns.where(periods < 1.5, one, ns.where(periods < 2.5, two, three)))
+
+        late = chosen(command[0], u_1, u_2, u_3), chosen(command[1], r_1, r_2, r_3)
+        return late, Delay.Memory(u_1, r_1, u_2, r_2)
+
+
+class Reach(Effect):
+    """An actuator saturates at a smaller command: `Actuators.reach`."""
+
+    what = "actuators that saturate early"
+    entry, drawn, numbers = ("actuators.reach", 1), ("reach", (1.0, 1.0)), "episode.reach"
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        u: Number = 1.0  # command at which the surge actuator saturates
+        r: Number = 1.0
+
+    @staticmethod
+    def command(command: Force, at: At) -> Force:
+        """Return the command within the reach of the actuators."""
+        u, r = at.own
+        return at.ns.clip(command[0], -u, u), at.ns.clip(command[1], -r, r)
+
+
+class Astern(Effect):
+    """The thruster gives less astern than ahead: `Actuators.astern`."""
+
+    entry, numbers = ("actuators.astern", 1), "scenario.actuators.astern"
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        share: Number = 1.0  # largest thrust astern over that ahead
+
+    @staticmethod
+    def share(share: Force, at: At) -> Force:
+        """Return the shares of the limits that the thruster can give."""
+        return at.ns.clip(share[0], -at.own.share, 1.0), share[1]
+
+
+class Fins(Effect):
+    """The yaw torque of fins grows with the squared speed through water: `Actuators.fin`."""
+
+    entry, numbers = ("actuators.fin", 0), "scenario.actuators.fin"
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        fin: Number  # [kg] see `Actuators`
+
+    @staticmethod
+    def thrust(thrust: Force, at: At) -> Force:
+        """Return force and torque at action 1 for the speed through water."""
+        return thrust[0], thrust[1] * fin_share(at.state[3], at.own.fin, at.limits[1], at.ns)
+
+    @staticmethod
+    def limits(limits: Force, at: At) -> Force:
+        """Return the limits for the measured speed over ground."""
+        return limits[0], known_torque(at.state[3], at.own.fin, limits[1], at.ns)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from auv_gym.effects.base import At, Effect
+from auv_gym.effects.navigation import FixFilter, RandomReckoning
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
-from auv_gym.physics.navigation import FixFilter, RandomReckoning
 
 
 @dataclass(frozen=True)
@@ -86,3 +88,35 @@ def low_pass(filtered: State, measured: State, gain: Number, ns: Namespace) -> S
         v + gain * (v_m - v),
         r + gain * (r_m - r),
     )
+
+
+class LowPass(Effect):
+    """A first-order low-pass on the measured tracking errors: `Sensors.low_pass`. It starts at its input."""
+
+    entry = ("sensors.low_pass", None)
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        gain: Number = 1.0  # weight of a new measurement
+
+    class Memory(NamedTuple):
+        """The filtered errors."""
+
+        x: Number  # [m]
+        y: Number  # [m]
+        psi: Number  # [rad]
+        u: Number  # [m/s]
+        v: Number  # [m/s]
+        r: Number  # [rad/s]
+
+    @classmethod
+    def constants(cls, scenario: Any, _: Any) -> tuple[Number, ...]:
+        """Return the gain of the filter."""
+        return (scenario.sensors.filter_gain(scenario.control_dt),)
+
+    @staticmethod
+    def errors(errors: State, memory: Memory, at: At) -> tuple[State, Memory]:
+        """Return the filtered errors."""
+        filtered = low_pass(memory, errors, 1.0 if at.begins else at.own.gain, at.ns)
+        return filtered, LowPass.Memory(*filtered)

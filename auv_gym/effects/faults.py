@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from auv_gym.effects.base import At, Effect, Measured
 from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
-from auv_gym.physics.namespaces import Array, Namespace, Number
+from auv_gym.physics.namespaces import Array, Number
 
 FAULT_KINDS = (
     "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way",
@@ -77,35 +78,62 @@ def fault_rows(faults: Sequence[Fault], dt: float, instants: int) -> Array:
     return rows
 
 
-def executed(command: Force, last: Force, fault: Number, ns: Namespace) -> Force:
-    """Return the command that the actuators execute.
-
-    Args:
-        command: of surge and yaw, as fractions of the limits.
-        last: the command that they executed in the previous control period.
-        fault: the code of the fault.
-        ns: the namespace of the numbers.
-    """
-
-    def one(name: str, now: Number, before: Number) -> Number:
-        stuck, dead, one_way = (_is(fault, f"{name} {how}") for how in ("stuck", "dead", "one way"))
-        return ns.where(stuck, before, ns.where(dead, 0.0 * now, ns.where(one_way, ns.clip(now, 0.0, 1.0), now)))
-
-    return one("surge", command[0], last[0]), one("yaw", command[1], last[1])
-
-
-def with_faults(measured: State, last: State, fault: Number, ns: Namespace) -> State:
-    """Return the measurements x, y, psi, u, v, r with a fault; `last` are those of the previous control instant."""
-    frozen = _is(fault, "all frozen")
-    heading, velocity, yaw_rate = (
-        frozen | _is(fault, f"{name} frozen") for name in ("heading", "velocity", "yaw rate")
-    )
-    missing = _is(fault, "velocity missing")
-    held = frozen, frozen, heading, velocity, velocity, yaw_rate
-    x, y, psi, u, v, r = (ns.where(*sides) for sides in zip(held, last, measured, strict=True))
-    return x, y, psi, ns.where(missing, 0.0 * u, u), ns.where(missing, 0.0 * v, v), r
-
-
 def _is(fault: Number, kind: str) -> Number:
     """Return whether a code is that of a kind."""
     return abs(fault - _CODE[kind]) < 0.5
+
+
+class Faults(Effect):
+    """An actuator or a measurement fails for some time: `Scenario.faults`."""
+
+    what = "faults"
+    entry, drawn = ("faults", None), ("faults", ())
+    remembers = Measured._fields
+
+    class Memory(NamedTuple):
+        """Its memory."""
+
+        c_u: Number  # command that the actuators executed
+        c_r: Number
+
+    class Inputs(NamedTuple):
+        """Its inputs, see `fault_rows`."""
+
+        code: Number  # of the fault; 0 without one
+        jump_x: Number  # [m] jump of the measured position
+        jump_y: Number  # [m]
+
+    @classmethod
+    def series(cls, scenario: Any, episode: Any, table: Array) -> Array | None:
+        """Return code and jump at each control instant."""
+        return fault_rows(episode.faults, scenario.control_dt, len(table)) if episode.faults else None
+
+    @staticmethod
+    def command(command: Force, memory: Memory, at: At) -> tuple[Force, Memory]:
+        """Return the command that the actuators execute."""
+        ns, code = at.ns, at.inputs.code
+
+        def one(name: str, now: Number, before: Number) -> Number:
+            stuck, dead, one_way = (_is(code, f"{name} {how}") for how in ("stuck", "dead", "one way"))
+            return ns.where(stuck, before, ns.where(dead, 0.0 * now, ns.where(one_way, ns.clip(now, 0.0, 1.0), now)))
+
+        done = one("surge", command[0], memory.c_u), one("yaw", command[1], memory.c_r)
+        return done, Faults.Memory(*done)
+
+    @staticmethod
+    def noise(noise: State, memory: Memory, at: At) -> tuple[State, Memory]:
+        """Return the errors of the measurements with the jump of the position."""
+        x, y, *rest = noise
+        return (x + at.inputs.jump_x, y + at.inputs.jump_y, *rest), memory
+
+    @staticmethod
+    def measured(measured: State, memory: Memory, at: At) -> tuple[State, Memory]:
+        """Return the measurements; frozen ones keep the value of the previous control instant."""
+        ns, code = at.ns, at.inputs.code
+        frozen, missing = _is(code, "all frozen"), _is(code, "velocity missing")
+        heading, velocity, yaw_rate = (
+            frozen | _is(code, f"{name} frozen") for name in ("heading", "velocity", "yaw rate")
+        )
+        held = frozen, frozen, heading, velocity, velocity, yaw_rate
+        x, y, psi, u, v, r = (ns.where(*sides) for sides in zip(held, at.last, measured, strict=True))
+        return (x, y, psi, ns.where(missing, 0.0 * u, u), ns.where(missing, 0.0 * v, v), r), memory

@@ -1,0 +1,21 @@
+"""The physical effects of a scenario, one class each, and what a user needs for an effect of his own."""
+
+from auv_gym.effects.actuators import Astern, Delay, Fins, Reach
+from auv_gym.effects.base import EFFECTS, POINTS, At, Effect, documented, effect
+from auv_gym.effects.current import Shear
+from auv_gym.effects.faults import Faults
+from auv_gym.effects.mismatch import CrossFlow, Lift
+from auv_gym.effects.navigation import DeadReckoning, Outages
+from auv_gym.effects.sensors import LowPass
+from auv_gym.physics.dynamics import Force, State
+from auv_gym.physics.intervals import Interval
+from auv_gym.physics.namespaces import Number
+
+PACKAGE: tuple[type[Effect], ...] = (
+    Delay, Reach, Faults, Astern, Fins, Lift, CrossFlow, Shear, DeadReckoning, Outages, LowPass,
+)  # fmt: skip
+"""The effects of the package, in the order in which they act at a point."""
+
+__all__ = [
+    "EFFECTS", "PACKAGE", "POINTS", "At", "Effect", "Force", "Interval", "Number", "State", "documented", "effect",
+]  # fmt: skip

@@ -1,0 +1,146 @@
+"""A mismatch between the true and the nominal vehicle; lift and cross terms of a vehicle."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from auv_gym.effects.base import At, Effect
+from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw
+from auv_gym.physics.namespaces import Number
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, PARAMETER_NAMES, CrossTerms, Vehicle
+
+
+@dataclass(frozen=True)
+class RandomMismatch:
+    """Distribution of the true vehicle about the nominal one, as factors; m22 stays above m11.
+
+    The factor of a drag applies to its linear and quadratic part, and to the lift, which grows with the surge velocity.
+    Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
+    loss in turns has the factor of the surge drag.
+
+    With `vehicles` the true vehicle is one of an ensemble, and the factors apply to it. A row has the parameters of
+    `physics.units.DIMENSIONS` in their order, `Vehicle.all_coefficients`: 13 numbers, or all 25 if the nominal vehicle
+    has cross terms.
+    """
+
+    mass: Interval = 1.0  # on m11 and m22 together
+    ratio: Interval = 1.0  # on m22/m11
+    m33: Interval = 1.0
+    d11: Interval = 1.0
+    d22: Interval = 1.0
+    d33: Interval = 1.0
+    quadratic: Interval = 0.0  # adds this multiple of `quadratic_drag`
+    quadratic_drag: tuple[float, float, float] = (100.0, 200.0, 100.0)  # [kg/m], [kg/m], [kg m^2]
+    vehicles: tuple[tuple[float, ...], ...] = ()  # the ensemble; none: the nominal vehicle
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "ratio", "m33", "d11", "d22", "d33"):
+            check_interval(f"mismatch {name}", getattr(self, name), 1e-3, 1e3)
+        check_interval("mismatch quadratic", self.quadratic, 0, 1e6)
+        if len(self.quadratic_drag) != 3:
+            raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
+        for value in self.quadratic_drag:
+            check_number("mismatch quadratic_drag", value, 0, LARGEST_PARAMETER)
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ValueError if a draw for this vehicle can be invalid, for instance with m22 too close to m11."""
+        size = len(vehicle.all_coefficients)
+        if wrong := [len(row) for row in self.vehicles if len(row) != size]:
+            raise ValueError(f"mismatch vehicles has a row of {wrong[0]} numbers; for this vehicle it must have {size}")
+        lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
+        for row in self._rows(vehicle):
+            m11, m22, *_ = row
+            least = MIN_MASS_RATIO * (1 + 1e-9) * m11 / m22
+            if lowest < least:
+                raise ValueError(
+                    f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least "
+                    f"{least:.4g}"
+                )
+            for end in (0, 1):
+                true = self._true(row, [_ends(interval)[end] for interval in self._intervals])
+                Vehicle(**dict(zip(PARAMETER_NAMES, true, strict=False)))
+
+    def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
+        """Return one true vehicle."""
+        row: Sequence[Number] = vehicle.all_coefficients
+        if count := len(self.vehicles):
+            index = np.minimum(np.asarray(uniform()) * count, count - 1).astype(np.int64)
+            row = [x.item() if x.ndim == 0 else x for x in np.array(self.vehicles).T[:, index]]
+        return Vehicle.unchecked(self._true(row, [draw(interval, uniform) for interval in self._intervals]))
+
+    def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
+        """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
+
+        Much quadratic drag gives a fast decay; little drag allows high speeds.
+        """
+        mass, ratio, m33, *drags = map(_ends, self._intervals)
+        corners = np.array([*itertools.product(mass[:1], ratio, m33[:1], *drags)]).T
+        several = [np.broadcast_arrays(*self._true(row, corners)) for row in self._rows(vehicle)]
+        return tuple(map(np.concatenate, zip(*several, strict=True)))
+
+    @property
+    def _intervals(self) -> tuple[Interval, ...]:
+        """The intervals of the factors, in the order of `_true`."""
+        return self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic
+
+    def _rows(self, vehicle: Vehicle) -> Sequence[Sequence[float]]:
+        """Return the parameters of the ensemble, or of the nominal vehicle."""
+        return self.vehicles or (vehicle.all_coefficients,)
+
+    def _true(self, row: Sequence[Number], factors: Iterable[Number]) -> tuple[Number, ...]:
+        """Return the parameters of a vehicle with factors applied: floats or rows, as `Vehicle.all_coefficients`."""
+        m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, Y_uv, Y_ur, N_uv, N_ur, *cross = row
+        mass, ratio, inertia, surge, sway, yaw, q = factors
+        more = [q * drag for drag in self.quadratic_drag]
+        if cross:
+            *damping, eps = cross
+            least = sway + (yaw - sway) * (yaw < sway)
+            names = CrossTerms._fields[:-1]
+            scaled = [c * (surge if name[0] == "X" else least) for name, c in zip(names, damping, strict=True)]
+            cross = [*scaled, eps]
+        return (
+            m11 * mass, m22 * mass * ratio, m33 * inertia, d11 * surge, d22 * sway, d33 * yaw,
+            X_uu * surge + more[0], Y_vv * sway + more[1], N_rr * yaw + more[2],
+            Y_uv * sway, Y_ur, N_uv, N_ur * yaw, *cross,
+        )  # fmt: skip
+
+
+class Lift(Effect):
+    """Lift of body and fins, which grows with the surge velocity, see `Vehicle`."""
+
+    what = "a vehicle with lift"
+    entry = ("vehicle.has_lift", False)
+
+    @classmethod
+    def there(cls, episode: Any) -> bool:
+        """Return whether the true vehicle has lift, without cross terms, which include it."""
+        return bool(episode.vehicle.has_lift) and not episode.vehicle.has_cross_terms
+
+    @staticmethod
+    def vehicle(_: Sequence[Number], at: At) -> Sequence[Number]:
+        """Return all coefficients."""
+        coefficients: Sequence[Number] = at.vehicle
+        return coefficients
+
+
+class CrossFlow(Effect):
+    """Cross terms of the damping, and the side force of a rudder, see `Vehicle`."""
+
+    what = "a vehicle with cross terms"
+    entry = drawn = ("vehicle.has_cross_terms", False)
+    numbers = "episode.vehicle.cross_terms"
+    Constants = CrossTerms
+
+    @staticmethod
+    def vehicle(_: Sequence[Number], at: At) -> Sequence[Number]:
+        """Return all coefficients with the cross terms."""
+        return *at.vehicle, *at.own
+
+
+def _ends(interval: Interval) -> tuple[float, float]:
+    return interval if isinstance(interval, tuple) else (interval, interval)

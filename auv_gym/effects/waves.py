@@ -1,0 +1,55 @@
+"""Waves as body forces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from auv_gym.physics.intervals import Uniform, check_interval, check_number
+from auv_gym.physics.namespaces import Number
+from auv_gym.physics.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Waves:
+    """First-order wave forces on the vehicle: a sum of sines of equal amplitude on each axis."""
+
+    surge: float  # [N] root mean square
+    sway: float  # [N]
+    yaw: float  # [N m]
+    frequencies: tuple[float, ...]  # [rad/s]
+    phases: tuple[tuple[float, ...], ...]  # [rad], shape (3, number of frequencies)
+
+
+@dataclass(frozen=True)
+class RandomWaves:
+    """Distribution of the waves. The RMS forces are fractions of d11 U, d22 U and d33 U / (1 m) at path speed U."""
+
+    surge: float = 0.0
+    sway: float = 0.0
+    yaw: float = 0.0
+    band: tuple[float, float] = (0.5, 1.1)  # [rad/s]; one frequency is drawn in each of `components` equal parts
+    components: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("surge", "sway", "yaw"):
+            check_number(f"waves {name}", getattr(self, name), 0, 1e3)
+        if not isinstance(self.band, tuple):
+            raise ValueError(f"waves band is {self.band!r}; it must be a pair (low, high)")
+        check_interval("waves band", self.band, 1e-3, 1e2)
+        if isinstance(self.components, bool) or not isinstance(self.components, int) or not 1 <= self.components <= 12:
+            raise ValueError(f"waves components is {self.components!r}; it must be an integer in [1, 12]")
+
+    def draw(self, uniform: Uniform, speed: Number, vehicle: Vehicle) -> Waves:
+        """Return one sea state for a path of this nominal speed [m/s] and the vehicle whose drag scales it."""
+        low, high = self.band
+        n = self.components
+        frequencies = tuple(low + (high - low) * (j + uniform()) / n for j in range(n))
+        phases = tuple(tuple(2 * math.pi * uniform() for _ in range(n)) for _ in range(3))
+        return Waves(
+            self.surge * vehicle.d11 * speed,
+            self.sway * vehicle.d22 * speed,
+            self.yaw * vehicle.d33 * speed,
+            frequencies,
+            phases,
+        )
