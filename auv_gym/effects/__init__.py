@@ -1,7 +1,7 @@
 """The physical effects of a scenario, one class each, and what a user needs for an effect of his own."""
 
 from auv_gym.effects.actuators import Astern, Delay, Fins, Reach
-from auv_gym.effects.base import EFFECTS, POINTS, At, Effect, documented, effect
+from auv_gym.effects.base import EFFECTS, POINTS, At, Effect, effect
 from auv_gym.effects.current import Shear
 from auv_gym.effects.faults import Faults
 from auv_gym.effects.mismatch import CrossFlow, Lift
@@ -17,5 +17,5 @@ PACKAGE: tuple[type[Effect], ...] = (
 """The effects of the package, in the order in which they act at a point."""
 
 __all__ = [
-    "EFFECTS", "PACKAGE", "POINTS", "At", "Effect", "Force", "Interval", "Number", "State", "documented", "effect",
+    "EFFECTS", "PACKAGE", "POINTS", "At", "Effect", "Force", "Interval", "Number", "State", "effect",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -80,16 +81,18 @@ class Response(NamedTuple):
         return Response(gain, (1 - lag / dt * gain) / gain, F_u_rate * dt, F_r_rate * dt)
 
 
-def respond(force: Force, command: Force, response: Response, ns: Namespace) -> tuple[Force, Force]:
-    """Return the mean force over one control step and the force at its end.
+def respond(
+    force: Sequence[Number], command: Sequence[Number], response: Sequence[Number], ns: Namespace
+) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+    """Return the mean force of each channel over one control step, and the force at its end.
 
     The mean keeps the impulse of the exponential response exact although the integrator holds the force.
     """
-    F_u, F_r = force
-    gain, mean, slew_u, slew_r = response
-    change_u = ns.clip(gain * (command[0] - F_u), -slew_u, slew_u)
-    change_r = ns.clip(gain * (command[1] - F_r), -slew_r, slew_r)
-    return (F_u + mean * change_u, F_r + mean * change_r), (F_u + change_u, F_r + change_r)
+    gain, mean, *slews = response
+    both = zip(force, command, slews, strict=True)
+    changes = [ns.clip(gain * (now - before), -slew, slew) for before, now, slew in both]
+    middle = tuple(before + mean * change for before, change in zip(force, changes, strict=True))
+    return middle, tuple(before + change for before, change in zip(force, changes, strict=True))
 
 
 class Delay(Effect):
@@ -103,24 +106,25 @@ class Delay(Effect):
 
         periods: Number  # control periods until a command acts
 
-    class Memory(NamedTuple):
-        """Earlier actions; the last one is in the plant."""
+    repeated = ("Memory",)
 
-        u_2: Number  # surge and yaw two control steps ago
-        r_2: Number
-        u_3: Number  # three control steps ago
-        r_3: Number
+    class Memory(NamedTuple):
+        """Earlier actions of a channel; the last one is in the plant."""
+
+        second: Number  # two control steps ago
+        third: Number  # three control steps ago
 
     @staticmethod
-    def command(command: Force, memory: Memory, at: At) -> tuple[Force, Memory]:
+    def command(command: Force, memory: tuple[Memory, ...], at: At) -> tuple[tuple[Number, ...], tuple[Memory, ...]]:
         """Return the command that was sent `periods` earlier."""
-        periods, (u_1, r_1), (u_2, r_2, u_3, r_3), ns = at.own.periods, at.last_action, memory, at.ns
+        periods, ns = at.own.periods, at.ns
 
-        def chosen(now: Number, one: Number, two: Number, three: Number) -> Number:
+        def late(now: Number, one: Number, two: Number, three: Number) -> Number:
             return ns.where(periods < 0.5, now, ns.where(periods < 1.5, one, ns.where(periods < 2.5, two, three)))
 
-        late = chosen(command[0], u_1, u_2, u_3), chosen(command[1], r_1, r_2, r_3)
-        return late, Delay.Memory(u_1, r_1, u_2, r_2)
+        each = [*zip(command, at.last_action, memory, strict=True)]
+        following = tuple(Delay.Memory(last, earlier.second) for _, last, earlier in each)
+        return tuple(late(now, last, *earlier) for now, last, earlier in each), following
 
 
 class Reach(Effect):
@@ -129,17 +133,17 @@ class Reach(Effect):
     what = "actuators that saturate early"
     entry, drawn, numbers = ("actuators.reach", 1), ("reach", (1.0, 1.0)), "episode.reach"
 
-    class Constants(NamedTuple):
-        """Its numbers in an episode."""
+    repeated = ("Constants",)
 
-        u: Number = 1.0  # command at which the surge actuator saturates
-        r: Number = 1.0
+    class Constants(NamedTuple):
+        """Its number for a channel in an episode."""
+
+        level: Number = 1.0  # command at which the actuator saturates
 
     @staticmethod
-    def command(command: Force, at: At) -> Force:
+    def command(command: Force, at: At) -> tuple[Number, ...]:
         """Return the command within the reach of the actuators."""
-        u, r = at.own
-        return at.ns.clip(command[0], -u, u), at.ns.clip(command[1], -r, r)
+        return tuple(at.ns.clip(a, -own.level, own.level) for a, own in zip(command, at.own, strict=True))
 
 
 class Astern(Effect):
@@ -153,9 +157,9 @@ class Astern(Effect):
         share: Number = 1.0  # largest thrust astern over that ahead
 
     @staticmethod
-    def share(share: Force, at: At) -> Force:
+    def share(share: Force, at: At) -> tuple[Number, ...]:
         """Return the shares of the limits that the thruster can give."""
-        return at.ns.clip(share[0], -at.own.share, 1.0), share[1]
+        return at.ns.clip(share[0], -at.own.share, 1.0), *share[1:]
 
 
 class Fins(Effect):
@@ -169,11 +173,12 @@ class Fins(Effect):
         fin: Number  # [kg] see `Actuators`
 
     @staticmethod
-    def thrust(thrust: Force, at: At) -> Force:
+    def thrust(thrust: Force, at: At) -> tuple[Number, ...]:
         """Return force and torque at action 1 for the speed through water."""
-        return thrust[0], thrust[1] * fin_share(at.state[3], at.own.fin, at.limits[1], at.ns)
+        share = fin_share(at.state[3], at.own.fin, at.limits[1], at.ns)
+        return thrust[0], thrust[1] * share, *thrust[2:]
 
     @staticmethod
-    def limits(limits: Force, at: At) -> Force:
+    def limits(limits: Force, at: At) -> tuple[Number, ...]:
         """Return the limits for the measured speed over ground."""
-        return limits[0], known_torque(at.state[3], at.own.fin, limits[1], at.ns)
+        return limits[0], known_torque(at.state[3], at.own.fin, limits[1], at.ns), *limits[2:]

@@ -65,6 +65,7 @@ class At(NamedTuple):
     limits: Force  # [N], [N m] that action 1 commands, nominally
     dt: Number  # [s] control period
     begins: bool  # whether an episode begins, so nothing is remembered
+    channels: tuple[str, ...]  # names of the actuators, in the order of actions and limits
     ns: Namespace
 
 
@@ -93,6 +94,7 @@ class Effect:
         Memory: numbers that it remembers from one control step to the next, zero at the start.
         Inputs: numbers for each control instant; defaults are those with which it does nothing.
         normals: number of independent standard normals of each control instant, n_0, n_1, ... after the `Inputs`.
+        repeated: "Constants" or "Memory", if each channel has one; then they are tuples of these.
         remembers: measurements of which it gets the last values, such as ("x", "y").
         neutral: values of fields with which it does nothing, if they are not zero.
         name: its name in scenario files; that of `DeadZone` is dead_zone.
@@ -107,6 +109,7 @@ class Effect:
     Memory: ClassVar[Any] = Nothing
     Inputs: ClassVar[Any] = Nothing
     normals: ClassVar[int] = 0
+    repeated: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[tuple[str, ...]] = ()
     neutral: ClassVar[Mapping[str, float]] = {}
     name: ClassVar[str]
@@ -235,6 +238,20 @@ def effect(cls: type[T]) -> type[T]:
     return own
 
 
+def made_of(cls: type[Effect], kind: str, numbers: Sequence[Number]) -> Any:
+    """Return the "Constants" or the "Memory" of a class for their numbers."""
+    one = getattr(cls, kind)
+    if kind not in cls.repeated:
+        return one(*numbers)
+    size = len(one._fields)
+    return tuple(one(*numbers[i : i + size]) for i in range(0, len(numbers), size))
+
+
+def flat(cls: type[Effect], memory: Any) -> tuple[Number, ...]:
+    """Return the numbers of a memory, see `made_of`."""
+    return tuple(x for one in memory for x in one) if "Memory" in cls.repeated else tuple(memory)
+
+
 def neutral(numbers: Any) -> Any:
     """Return a NamedTuple of `Effect` with the values that do nothing: its defaults, or zero."""
     return numbers(*(numbers._field_defaults.get(name, 0.0) for name in numbers._fields))
@@ -247,21 +264,22 @@ def _check_points(cls: Any) -> None:
     sizes = {"load": 3, "vehicle": len(PAPER_VEHICLE.coefficients), "noise": 6, "measured": 6, "errors": 6}
     for point in (name for name in POINTS if hasattr(cls, name)):
         for _ in range(4):
-            state, before, last = (tuple(rng.normal(size=6).tolist()) for _ in range(3))
+            state, earlier, last = (tuple(rng.normal(size=6).tolist()) for _ in range(3))
             two = [tuple(rng.uniform(-1.0, 1.0, 2).tolist()) for _ in range(3)]
             known = neutral(cls.Inputs)[: len(cls.Inputs._fields) - cls.normals]
             inputs = cls.Inputs(*known, *rng.normal(size=cls.normals).tolist())
             at = At(
-                neutral(cls.Constants), inputs, state, before, two[0], two[1], Measured(*last), (0.0,) * 6,
-                PAPER_VEHICLE.coefficients, (400.0, 200.0), 0.1, False, FLOATS,
+                neutral_constants(cls, 2), inputs, state, earlier, two[0], two[1], Measured(*last), (0.0,) * 6,
+                PAPER_VEHICLE.coefficients, (400.0, 200.0), 0.1, False, ("u", "r"), FLOATS,
             )  # fmt: skip
             value = scalar.get(point, tuple(rng.uniform(-1.0, 1.0, sizes.get(point, 2)).tolist()))
             where = f"{cls.__name__}.{point}"
             try:
-                found, memory = act(cls, point, value, cls.Memory(*(0.0,) * len(cls.Memory._fields)), at)
+                before = made_of(cls, "Memory", _repeated(cls, "Memory", (0.0,) * len(cls.Memory._fields)))
+                found, memory = act(cls, point, value, before, at)
             except Exception as error:
                 raise TypeError(f"{where} fails: {type(error).__name__}: {error}") from error
-            if not isinstance(memory, cls.Memory) or len(memory) != len(cls.Memory._fields):
+            if type(memory) is not type(before) or len(memory) != len(before):
                 raise TypeError(f"{where} must return the value and its Memory")
             if np.shape(found) != np.shape(value):
                 raise TypeError(f"{where} returns {found!r}; it must return {POINTS[point].partition(';')[0]}")
@@ -279,15 +297,6 @@ def act(cls: type[Effect], point: str, value: Any, memory: Any, at: At) -> tuple
         return method(value, at), memory
     after, memory = method(value, memory, at)
     return after, memory
-
-
-def documented(cls: type[Effect]) -> str:
-    """Return a description of a class made by `effect`, with a table of its fields, as Markdown."""
-    points = ", ".join(point for point in POINTS if hasattr(cls, point))
-    first = (inspect.getdoc(cls) or "").partition("\n")[0]
-    rows = [f"| `{n}` | {u} | {low:g} to {high:g} | {what} |" for n, (u, low, high, what) in cls.entries.items()]
-    head = [f"`[effects.{cls.name}]`: {first} It acts on: {points}.", "", "| field | unit | range | meaning |"]
-    return "\n".join([*head, "|---|---|---|---|", *rows])
 
 
 def source_of(cls: type[Effect]) -> str:
@@ -332,17 +341,26 @@ class Places(NamedTuple):
     sizes: tuple[int, int, int]  # numbers of constants, memory and inputs
 
 
+def _repeated(cls: type[Effect], kind: str, numbers: Sequence[Number], channels: int = 2) -> Sequence[Number]:
+    return tuple(numbers) * (channels if kind in cls.repeated else 1)
+
+
+def neutral_constants(cls: type[Effect], channels: int) -> Any:
+    """Return the `Constants` of a class with which it does nothing."""
+    return made_of(cls, "Constants", _repeated(cls, "Constants", neutral(cls.Constants), channels))
+
+
 @cache
-def places_of(effects: tuple[type[Effect], ...]) -> Places:
-    """Return the places of the rows of effects."""
+def places_of(effects: tuple[type[Effect], ...], channels: int) -> Places:
+    """Return the places of the rows of effects, for a number of channels."""
     sizes = [0, 0, 0]
 
     def following(kind: int, count: int) -> slice:
         sizes[kind] += count
         return slice(sizes[kind] - count, sizes[kind])
 
-    constants = {e: following(0, len(e.Constants._fields)) for e in effects}
-    memory = {e: following(1, len(e.Memory._fields)) for e in effects}
+    constants = {e: following(0, len(_repeated(e, "Constants", e.Constants._fields, channels))) for e in effects}
+    memory = {e: following(1, len(_repeated(e, "Memory", e.Memory._fields, channels))) for e in effects}
     inputs = {e: following(2, len(e.Inputs._fields)) for e in effects}
     names = [name for name in Measured._fields if any(name in e.remembers for e in effects)]
     last = {name: following(1, 1).start for name in names}

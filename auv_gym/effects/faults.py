@@ -20,6 +20,7 @@ FAULT_KINDS = (
 """Kinds of faults. A stuck actuator repeats its last command, a dead one gives no force, one that works one way gives
 no force astern or no torque to port. A frozen measurement keeps its last value; missing velocities u, v read zero. A
 jump adds a constant error to the measured position."""
+_ACTUATORS = {"u": "surge", "r": "yaw"}  # names of the channels in the kinds of faults
 _CODE = {name: float(code) for code, name in enumerate(FAULT_KINDS, 1)}
 
 
@@ -90,11 +91,12 @@ class Faults(Effect):
     entry, drawn = ("faults", None), ("faults", ())
     remembers = Measured._fields
 
-    class Memory(NamedTuple):
-        """Its memory."""
+    repeated = ("Memory",)
 
-        c_u: Number  # command that the actuators executed
-        c_r: Number
+    class Memory(NamedTuple):
+        """Its memory for a channel."""
+
+        executed: Number  # command that the actuator executed
 
     class Inputs(NamedTuple):
         """Its inputs, see `fault_rows`."""
@@ -109,25 +111,28 @@ class Faults(Effect):
         return fault_rows(episode.faults, scenario.control_dt, len(table)) if episode.faults else None
 
     @staticmethod
-    def command(command: Force, memory: Memory, at: At) -> tuple[Force, Memory]:
+    def command(command: Force, memory: tuple[Memory, ...], at: At) -> tuple[tuple[Number, ...], tuple[Memory, ...]]:
         """Return the command that the actuators execute."""
         ns, code = at.ns, at.inputs.code
 
-        def one(name: str, now: Number, before: Number) -> Number:
-            stuck, dead, one_way = (_is(code, f"{name} {how}") for how in ("stuck", "dead", "one way"))
+        def executed(channel: str, now: Number, before: Number) -> Number:
+            if channel not in _ACTUATORS:
+                return now
+            stuck, dead, one_way = (_is(code, f"{_ACTUATORS[channel]} {how}") for how in ("stuck", "dead", "one way"))
             return ns.where(stuck, before, ns.where(dead, 0.0 * now, ns.where(one_way, ns.clip(now, 0.0, 1.0), now)))
 
-        done = one("surge", command[0], memory.c_u), one("yaw", command[1], memory.c_r)
-        return done, Faults.Memory(*done)
+        each = zip(at.channels, command, memory, strict=True)
+        done = tuple(executed(channel, now, before.executed) for channel, now, before in each)
+        return done, tuple(map(Faults.Memory, done))
 
     @staticmethod
-    def noise(noise: State, memory: Memory, at: At) -> tuple[State, Memory]:
+    def noise(noise: State, memory: tuple[Memory, ...], at: At) -> tuple[State, tuple[Memory, ...]]:
         """Return the errors of the measurements with the jump of the position."""
         x, y, *rest = noise
         return (x + at.inputs.jump_x, y + at.inputs.jump_y, *rest), memory
 
     @staticmethod
-    def measured(measured: State, memory: Memory, at: At) -> tuple[State, Memory]:
+    def measured(measured: State, memory: tuple[Memory, ...], at: At) -> tuple[State, tuple[Memory, ...]]:
         """Return the measurements; frozen ones keep the value of the previous control instant."""
         ns, code = at.ns, at.inputs.code
         frozen, missing = _is(code, "all frozen"), _is(code, "velocity missing")

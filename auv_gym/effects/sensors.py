@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from auv_gym.effects.base import At, Effect
+from auv_gym.effects.base import At, Effect, Measured
 from auv_gym.effects.navigation import FixFilter, RandomReckoning
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
@@ -100,15 +100,7 @@ class LowPass(Effect):
 
         gain: Number = 1.0  # weight of a new measurement
 
-    class Memory(NamedTuple):
-        """The filtered errors."""
-
-        x: Number  # [m]
-        y: Number  # [m]
-        psi: Number  # [rad]
-        u: Number  # [m/s]
-        v: Number  # [m/s]
-        r: Number  # [rad/s]
+    Memory = Measured  # the filtered errors
 
     @classmethod
     def constants(cls, scenario: Any, _: Any) -> tuple[Number, ...]:
@@ -116,7 +108,7 @@ class LowPass(Effect):
         return (scenario.sensors.filter_gain(scenario.control_dt),)
 
     @staticmethod
-    def errors(errors: State, memory: Memory, at: At) -> tuple[State, Memory]:
+    def errors(errors: State, memory: Measured, at: At) -> tuple[State, Measured]:
         """Return the filtered errors."""
         filtered = low_pass(memory, errors, 1.0 if at.begins else at.own.gain, at.ns)
-        return filtered, LowPass.Memory(*filtered)
+        return filtered, Measured(*filtered)

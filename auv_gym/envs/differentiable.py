@@ -24,8 +24,7 @@ from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import tensors
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task import simulation
-from auv_gym.task.observation import encode
-from auv_gym.task.simulation import Parameters, Parts, Plant
+from auv_gym.task.simulation import Parts
 
 TENSORS = tensors()
 """The namespace of tensors."""
@@ -87,6 +86,7 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
         parameters: the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
         parts: the parts of the simulation in use.
     """
-    p = Parameters.of(parameters.unbind(), parts)
-    plant, terms, outcome = simulation.step(Plant.of(state.unbind()), action.unbind(), sample.unbind(), p, TENSORS)
-    return Transition(torch.stack(plant.rows), encode(terms, TENSORS, parts.bound_factor), *outcome)
+    plant, p = parts.plant(state.unbind()), parts.parameters(parameters.unbind())
+    plant, terms, outcome = simulation.step(plant, action.unbind(), sample.unbind(), p, TENSORS)
+    observation = parts.model.layout.encode(terms, TENSORS, parts.bound_factor)
+    return Transition(torch.stack(simulation.plant_row(plant)), observation, *outcome)

@@ -35,11 +35,12 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
 
     def __init__(self, env: gym.Env[Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
-        self.expert, self.authority = expert, checked_authority(authority)
-        self.observation_space = with_action(env.observation_space)
+        (self._channels,) = env.action_space.shape or ()
+        self.expert, self.authority = expert, checked_authority(authority, self._channels)
+        self.observation_space = with_action(env.observation_space, self._channels)
         self._compiled = _added(expert, self.authority, env)
         self._memory: tuple[NDArray[Any], ...] | None = None
-        self._base = np.zeros(2, dtype=np.float32)
+        self._base = np.zeros(self._channels, dtype=np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -57,7 +58,8 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         """
         if self._compiled:
             return self.env.step(action)  # type: ignore[return-value]
-        command = corrected(self._base, np.array(self.authority), np.array(checked_action(action)), ARRAYS)
+        correction = np.array(checked_action(action, self._channels))
+        command = corrected(self._base, np.array(self.authority), correction, ARRAYS)
         observation, reward, terminated, truncated, info = self.env.step(command)
         return self._extended(observation, False), float(reward), terminated, truncated, info
 
@@ -76,13 +78,14 @@ class VectorResidualAction(VectorWrapper):
 
     def __init__(self, env: VectorEnv[Any, Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
-        self.expert, self.authority = expert, checked_authority(authority)
+        (self._channels,) = env.single_action_space.shape or ()
+        self.expert, self.authority = expert, checked_authority(authority, self._channels)
         self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
-        self.single_observation_space = with_action(env.single_observation_space)
+        self.single_observation_space = with_action(env.single_observation_space, self._channels)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self._compiled = _added(expert, self.authority, env)
         self._memory: tuple[NDArray[Any], ...] | None = None
-        self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
+        self._base = np.zeros((env.num_envs, self._channels), dtype=np.float32)
         self._over = np.zeros(env.num_envs, dtype=bool)  # whether the next step begins an episode
 
     def reset(
@@ -113,7 +116,7 @@ class VectorResidualAction(VectorWrapper):
         """
         if self._compiled:
             return self.env.step(actions)
-        corrections = checked_actions(actions, self.num_envs)
+        corrections = checked_actions(actions, self.num_envs, self._channels)
         command = corrected(self._base, np.array(self.authority), corrections, ARRAYS)
         observation, reward, terminated, truncated, info = self.env.step(command)
         done = terminated | truncated
@@ -138,7 +141,7 @@ class VectorResidualAction(VectorWrapper):
         return self.expert.predict(observation, memory, np.full(len(observation), first))
 
 
-def _added(expert: Policy, authority: tuple[float, float], env: Any) -> bool:
+def _added(expert: Policy, authority: tuple[float, ...], env: Any) -> bool:
     """Add a control law to the compiled step of an environment of this package; return whether that is possible."""
     possible = isinstance(env, (UnderactuatedAUVTrackEnv, UnderactuatedAUVTrackVectorEnv)) and traceable(expert)
     if possible:

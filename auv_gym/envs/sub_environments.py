@@ -18,10 +18,10 @@ from auv_gym.scenarios.drawing import Drawing, drawn_as_rows
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import RandomPath, Scenario
-from auv_gym.task.kernels import STATES, started
+from auv_gym.task.kernels import started
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import Preview, with_preview
-from auv_gym.task.simulation import Parameters, Parts
+from auv_gym.task.simulation import Parts, parameter_row
 
 LARGEST_BLOCK = 64  # largest number of control steps that are read at once
 BLOCK_SAMPLES = 2**15  # largest number of vehicles times control steps that are read at once; it bounds the memory
@@ -97,7 +97,7 @@ class SubEnvironments:
         self.samples, self.row = np.zeros((block, self.parts.sample_rows, num_envs)), 0
         self._previous = self.samples[0]  # the last sample of the previous block
         self.constants = np.ones((self.parts.parameter_rows, num_envs))
-        self.parameters = Parameters.of(tuple(self.constants), self.parts)
+        self.parameters = self.parts.parameters(tuple(self.constants))
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
         self._remaining = 0  # lower bound of the control steps until an episode is truncated
 
@@ -208,7 +208,7 @@ class SubEnvironments:
             return [], places.tolist()
         members = np.array([*feasible])
         episodes = drawing.episodes(members)
-        constants = spread(scenario.constants(episodes, self.parts).rows, len(members))
+        constants = spread(parameter_row(scenario.constants(episodes, self.parts)), len(members))
         paths = drawing.single(members) if self.preview.periods else []
         seeds = [drawing.seeds[j] for j in feasible]
         rows = ReadyEpisodes(places[members], scenario, episodes, [*feasible.values()], seeds, constants, paths)
@@ -223,7 +223,7 @@ class SubEnvironments:
         else:
             episode, table = scenario.drawn(rng, lambda drawn: self.table(scenario, drawn.path))
         episode = with_options(episode, options)
-        constants = spread(scenario.parameters(episode, self.parts).rows, 1)
+        constants = spread(parameter_row(scenario.parameters(episode, self.parts)), 1)
         places, seeds = np.array([place]), [episode.noise_seed]
         return ReadyEpisodes(places, scenario, episode, [table], seeds, constants, [episode.path])
 
@@ -234,8 +234,8 @@ class SubEnvironments:
         return StartedEpisodes(indices, *started(self.parts, states, sample, constants, self.law), errors)
 
     def load(self, indices: Indices, ready: Sequence[ReadyEpisodes]) -> tuple[Array, Array]:
-        """Load episodes into n sub-environments; return their first states (STATES, n) and position errors (n,) [m]."""
-        states, errors = np.empty((STATES, len(indices))), np.empty(len(indices))
+        """Load episodes into n sub-environments; return their first states (states, n) and position errors (n,) [m]."""
+        states, errors = np.empty((len(self.parts.model.state), len(indices))), np.empty(len(indices))
         for places, scenario, episodes, tables, noise_seeds, constants, paths in ready:
             members = indices[places]
             self._exogenous.load_rows(members, scenario, episodes, tables, noise_seeds)
@@ -261,7 +261,9 @@ class SubEnvironments:
         """Return the observations (SIZE, n) of n sub-environments with their previews, a new array (columns, n)."""
         if not self.preview.periods:
             return rows.copy()
-        return with_preview(rows, self.preview.ahead(indices, self.k[indices]), self.parts.bound_factor)
+        return with_preview(
+            rows, self.preview.ahead(indices, self.k[indices]), self.parts.bound_factor, self.parts.model
+        )
 
     def table(self, scenario: Scenario, path: Path) -> Array:
         """Return the reference table of a path in a scenario; that of a fixed path is planned once.

@@ -14,7 +14,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import ScenarioLike, VehicleLike, checked_seed
-from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
+from auv_gym.envs.spaces import checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.planning.paths import Path
@@ -23,13 +23,12 @@ from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.task.kernels import Vehicles
-from auv_gym.task.observation import decoded_terms
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds, with_preview
-from auv_gym.task.simulation import PLANT, REFERENCE, Parameters, Plant, current_at, ground_state
+from auv_gym.task.simulation import PLANT, current_at, ground_state
 
 _TRAIL = 1000  # largest number of past positions in a picture
-_ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of an action
+_ARRAY, _REAL = np.ndarray, (np.dtype(np.float32), np.dtype(np.float64))  # of an action
 
 
 class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -138,9 +137,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self.render_mode: Any = render_mode
         self._size = checked_size(render_size)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._model = self.scenario.parts.model
+        self._shape = (len(self._model.channels),)  # of an action
+        self._channels = range(*self._shape)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, self._shape, np.float32)
         self._sub_envs = SubEnvironments([self.scenario], preview)
-        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.bound_factor)
+        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.bound_factor, self._model.layout)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
         if isinstance(self.scenario.path, Path):
@@ -187,10 +189,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             self._record_position()
         observation = self._observed()
         if self._law is not None:
-            self._law.check(decoded_terms(observation))
+            self._law.check(self._model.layout.terms_of(observation))
         return observation, self._info
 
-    def _set_vehicle(self, law: Law | None = None, authority: tuple[float, float] = (0.0, 0.0)) -> None:
+    def _set_vehicle(self, law: Law | None = None, authority: tuple[float, ...] = ()) -> None:
         """Make the vehicle; its actions are corrections to a control law if there is one."""
         samples, constants = self._sub_envs.samples, self._sub_envs.constants
         self._vehicle = Vehicles(self.scenario.parts, samples, constants, law, authority, undoable=False)
@@ -199,10 +201,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     def _set_views(self) -> None:
         """Set the views of the arrays of the vehicle that a step reads and writes."""
-        arrays = self._vehicle.action, self._vehicle.outcome, self._vehicle.now.observation
-        self._action, self._outcome, self._observation = (array[:, 0] for array in arrays)
+        self._commands = self._vehicle.action[:, 0].data  # written in half the time of an array
+        self._outcome, self._observation = self._vehicle.outcome[:, 0], self._vehicle.now.observation[:, 0]
 
-    def add_residual(self, law: Law, authority: tuple[float, float]) -> None:
+    def add_residual(self, law: Law, authority: tuple[float, ...]) -> None:
         """Interpret actions as corrections to a control law, and append the law's action to observations.
 
         This is `ResidualAction` in the compiled step. The next call must be `reset`.
@@ -211,7 +213,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             TypeError: the law branches on values of the observation.
         """
         self._set_vehicle(law, authority)
-        self.observation_space = with_action(self.observation_space)
+        self.observation_space = with_action(self.observation_space, *self._shape)
         self._k, self._over = self._steps, True
 
     def _observed(self) -> Array:
@@ -220,7 +222,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if not preview.periods:
             return self._observation.copy()
         rows = self._observation[:, None]
-        return with_preview(rows, preview.ahead((0,), self._k), self.scenario.bound_factor)[:, 0]
+        return with_preview(rows, preview.ahead((0,), self._k), self.scenario.bound_factor, self._model)[:, 0]
 
     def _record_position(self) -> None:
         """Append the position to the trail, and draw it in a window."""
@@ -228,13 +230,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self.render_mode == "human":
             self.render()
 
-    def _truth(self) -> tuple[Plant, list[float], Parameters]:
+    def _truth(self) -> tuple[Any, list[float], Any]:
         """Return plant, sample and constants at this time."""
         sub_envs = self._sub_envs
         return (
-            Plant.of(self._vehicle.now.plant.ravel().tolist()),
+            self.scenario.parts.plant(self._vehicle.now.plant.ravel().tolist()),
             sub_envs.samples[self._row].ravel().tolist(),
-            Parameters.of(sub_envs.constants.ravel().tolist(), self.scenario.parts),
+            self.scenario.parts.parameters(sub_envs.constants.ravel().tolist()),
         )
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -245,11 +247,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             ResetNeeded: the episode is over, or none has begun.
         """
         finite = False
-        if type(action) is _ARRAY and action.dtype in _REAL and action.shape == _SHAPE:
-            surge, yaw = action.tolist()  # the same as `checked_action` in half the time
-            finite = surge - surge == 0.0 == yaw - yaw  # false for nan and infinity
+        if type(action) is _ARRAY and action.dtype in _REAL and action.shape == self._shape:
+            command = action.tolist()  # the same as `checked_action` in half the time
+            total = sum(command)
+            finite = total - total == 0.0  # false for nan and infinity
         if not finite:
-            surge, yaw = checked_action(action)
+            command = checked_action(action, *self._shape)
         if self._over:
             raise ResetNeeded("the episode is over, or none has begun: call reset() before step()")
         self._k = k = self._k + 1
@@ -257,7 +260,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if row == self._block:
             self._sub_envs.read()
             self._row = row = 0
-        self._action[0], self._action[1] = surge, yaw
+        commands = self._commands
+        for i in self._channels:
+            commands[i] = command[i]
         self._vehicle.run(row, 1)
         reward, failed, error, saturated = self._outcome.tolist()
         truncated, terminated = k >= self._steps, failed > 0.0
@@ -274,20 +279,20 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return np.array(ground_state(plant, sample, parameters, FLOATS))
 
     @property
-    def reference(self) -> ReferencePoint:
-        """The reference at this time in SI units."""
-        return ReferencePoint(*self._truth()[1][REFERENCE])
+    def reference(self) -> Any:
+        """The reference at this time in SI units, `model.ReferencePoint`."""
+        return self._model.Reference(*self._truth()[1][self._model.reference])
 
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] of the actuators at this time; shape (2,)."""
-        return self._vehicle.now.plant[[PLANT.F_u, PLANT.F_r], 0]
+        return self._vehicle.now.plant[self._model.forces, 0].copy()
 
     @property
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the position of the vehicle; shape (2,)."""
         plant, sample, parameters = self._truth()
-        return np.array(current_at(plant[:6], sample, parameters, FLOATS))
+        return np.array(current_at(plant[: len(self._model.state)], sample, parameters, FLOATS))
 
     @property
     def time(self) -> float:
@@ -320,8 +325,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return self._renderer.draw(view)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes except the renderer."""
-        return {**self.__dict__, "_renderer": None}
+        """Return all attributes except the renderer and the views."""
+        return {**self.__dict__, "_renderer": None, "_commands": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Set all attributes; views are made again."""

@@ -14,14 +14,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
-from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
+from auv_gym.envs.spaces import checked_actions, with_action
 from auv_gym.envs.sub_environments import StartedEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.kernels import MakeSimulator, Simulator, Vehicles
-from auv_gym.task.observation import SIZE, decode
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds
-from auv_gym.task.simulation import LOAD, PLANT, REFERENCE, current_at, ground_state
+from auv_gym.task.simulation import PLANT, current_at, ground_state
 
 Mask = NDArray[np.bool_]
 
@@ -86,8 +85,10 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.render_mode = None
-        bounds = observation_bounds(self._sub_envs.preview.periods, self._sub_envs.parts.bound_factor)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        parts = self._sub_envs.parts
+        bounds = observation_bounds(self._sub_envs.preview.periods, parts.bound_factor, parts.model.layout)
+        self._model = self._sub_envs.parts.model
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (len(self._model.channels),), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -112,7 +113,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         mask[started.indices] = True
         return self._observed(), self._info(errors, ~self._all, mask)
 
-    def add_residual(self, law: Law, authority: tuple[float, float]) -> None:
+    def add_residual(self, law: Law, authority: tuple[float, ...]) -> None:
         """Interpret actions as corrections to a control law, and append the law's actions to observations.
 
         This is `VectorResidualAction` in the compiled step. The next call must be `reset`.
@@ -122,7 +123,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         """
         self.use_simulator(partial(Vehicles, law=law, authority=authority))
         self._sub_envs.law = law
-        self.single_observation_space = with_action(self.single_observation_space)
+        self.single_observation_space = with_action(self.single_observation_space, len(self._model.channels))
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def use_simulator(self, make: MakeSimulator) -> None:
@@ -136,7 +137,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self._vehicles.place(started.indices, started.plant, started.observation)
         rows = self._sub_envs.with_preview(started.observation, started.indices)
         if (law := self._sub_envs.law) is not None:
-            law.check(decode(rows[:SIZE], ARRAYS))
+            law.check(self._model.layout.decode(rows[: self._model.layout.size], ARRAYS))
         return rows.T
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
@@ -147,7 +148,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
                 vehicle has advanced.
             ResetNeeded: no episode has begun, or an episode is over in mode DISABLED; no vehicle has advanced.
         """
-        commands, vehicles, sub_envs = checked_actions(actions, self.num_envs), self._running, self._sub_envs
+        commands = checked_actions(actions, self.num_envs, len(self._model.channels))
+        vehicles, sub_envs = self._running, self._sub_envs
         over, same = self._over, self.autoreset_mode == AutoresetMode.SAME_STEP
         resetting = not same and over.any()
         if resetting and self.autoreset_mode == AutoresetMode.DISABLED:
@@ -222,26 +224,27 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         return self._running.now.plant[[PLANT.x, PLANT.y, PLANT.psi]].T
 
     @property
-    def reference(self) -> ReferencePoint:
+    def reference(self) -> Any:
         """The references at this time in SI units, fields of shape (N,)."""
-        return ReferencePoint(*self._sub_envs.sample[REFERENCE].copy())
+        return self._model.Reference(*self._sub_envs.sample[self._model.reference].copy())
 
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] of the actuators at this time; shape (N, 2)."""
-        plant = self._running.plant
-        return np.stack((plant.F_u, plant.F_r), axis=1)
+        forces: Array = self._running.now.plant[self._model.forces].T.copy()
+        return forces
 
     @property
     def current(self) -> Array:
         """Current V_x, V_y [m/s] in the world frame at the positions of the vehicles; shape (N, 2)."""
         sub_envs = self._sub_envs
-        return np.array(current_at(self._running.plant[:6], sub_envs.sample, sub_envs.parameters, ARRAYS)).T
+        state = self._running.plant[: len(self._model.state)]
+        return np.array(current_at(state, sub_envs.sample, sub_envs.parameters, ARRAYS)).T
 
     @property
     def load(self) -> Array:
         """Wave forces X, Y [N] and moment N [N m] at this time; shape (N, 3)."""
-        loads: Array = self._sub_envs.sample[LOAD].T.copy()
+        loads: Array = self._sub_envs.sample[self._model.load_rows].T.copy()
         return loads
 
     @property

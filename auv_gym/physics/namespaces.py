@@ -7,7 +7,7 @@ tensors (`tensors()`). Functions that need no more than `sin` and `cos` also acc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias
@@ -167,3 +167,12 @@ def tensors() -> Namespace:
 def wrap_angle(angle: Number, ns: Namespace = FLOATS) -> Number:
     """Return the angle [rad] plus the multiple of 2 pi that brings it into [-pi, pi)."""
     return angle - 2 * math.pi * ns.floor((angle + math.pi) / (2 * math.pi))
+
+
+def sum_of_squares(numbers: Iterable[Number]) -> Number:
+    """Return the sum of the squares, in their order."""
+    first, *others = numbers
+    total = first * first
+    for x in others:
+        total = total + x * x
+    return total

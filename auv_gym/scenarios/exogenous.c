@@ -133,14 +133,14 @@ int load_tables(normal numpy_normal)
     return 1;
 }
 
-/* Compute the least speed of the references (T, 8) of sub-environments. */
+/* Compute the least speed of the references (T, REFERENCE) of sub-environments. */
 void least_speeds(long count, const int64_t *indices, const int64_t *entries, double *speeds)
 {
     for (long i = 0; i < count; i++) {
         const int64_t *entry = entries + indices[i] * ENTRIES;
-        const double *velocity = (const double *)entry[TABLE] + 3;
+        const double *velocity = (const double *)entry[TABLE] + VELOCITY;
         double least = INFINITY;
-        for (long k = 0; k < entry[INSTANTS]; k++, velocity += 8) {
+        for (long k = 0; k < entry[INSTANTS]; k++, velocity += REFERENCE) {
             const double square = velocity[0] * velocity[0] + velocity[1] * velocity[1];
             least = square < least ? square : least;
         }
@@ -189,8 +189,9 @@ void read_samples(long count, long steps, long most, long time, long row, const 
             const int64_t of_gusts[] = {1, AT(gust), 1, AT(transposed + GUSTS * steps), 1, steps, AT(weather),
                                         AT(swing), 1, steps};
             gust_recursion(of_gusts, 0, (int)steps);
-            double *current = sample + 8 * steps, *load = current + 2 * steps, *measured = load + 3 * steps;
-            memset(load, 0, 3 * steps * sizeof(double));
+            double *current = sample + REFERENCE * steps, *load = current + CURRENT * steps;
+            double *measured = load + LOAD * steps;
+            memset(load, 0, LOAD * steps * sizeof(double));
             const int64_t of_waves[] = {steps, AT(load), steps, AT(instants), steps, AT(wave), WAVE};
             wave_loads(of_waves, 0, (int)entry[WAVES]);
             const int64_t of_rest[] = {steps, AT(instants), steps, AT(swing), steps, AT(transposed), steps, AT(weather),
@@ -201,11 +202,11 @@ void read_samples(long count, long steps, long most, long time, long row, const 
             for (long l = 0; l < tile; l++) {
                 const int64_t *entry = entries + indices[first + l] * ENTRIES;
                 const long k = entry[NEXT] - steps + j, last = entry[INSTANTS] - 1;
-                const double *from = (const double *)entry[TABLE] + 8 * (k < last ? k : last);
+                const double *from = (const double *)entry[TABLE] + REFERENCE * (k < last ? k : last);
                 double *to = out + j * time + columns[first + l];
-                for (long r = 0; r < 8; r++, to += row) *to = from[r];
+                for (long r = 0; r < REFERENCE; r++, to += row) *to = from[r];
             }
-        for (long r = 8; r < SAMPLES; r++)
+        for (long r = REFERENCE; r < SAMPLES; r++)
             for (long j = 0; j < steps; j++) {
                 const double *from = memory + r * steps + j;
                 double *to = out + j * time + r * row;

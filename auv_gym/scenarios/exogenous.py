@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, address, library_digest, together
+from auv_gym.effects.base import Measured
 from auv_gym.effects.current import Current
 from auv_gym.effects.waves import Waves
 from auv_gym.physics.errors import to_world
@@ -25,23 +26,13 @@ from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
 from auv_gym.physics.rows import flatten, numbered, spread, unflatten
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS, Parts
+from auv_gym.task.model import PLANE, Model
+from auv_gym.task.simulation import Parts
 
 TILE = 16  # sub-environments whose samples are written together, which fills cache lines of the result
-NORMALS = 8  # number of standard normals of a control step
-MEASUREMENT_NORMALS = slice(0, 6)  # normals of the errors of the six measurements
-GUSTS = slice(6, 8)  # normals of the gusts
-
-
-class Errors(NamedTuple):
-    """A number for each measurement: floats, or rows of shape (N,)."""
-
-    x: Number  # [m]
-    y: Number  # [m]
-    psi: Number  # [rad]
-    u: Number  # [m/s]
-    v: Number  # [m/s]
-    r: Number  # [rad/s]
+MEASUREMENT_NORMALS = slice(0, len(PLANE.state))  # normals of the errors of the measurements
+GUSTS = slice(MEASUREMENT_NORMALS.stop, MEASUREMENT_NORMALS.stop + len(PLANE.current))  # normals of the gusts
+NORMALS = GUSTS.stop  # number of standard normals of a control step
 
 
 class Weather(NamedTuple):
@@ -55,8 +46,8 @@ class Weather(NamedTuple):
     a: Number  # decay of the process of the gusts per control step
     excitation: Number  # gain of its standard normals, sqrt(1 - a^2)
     b: Number  # decay of the filter of the gusts per control step
-    noise: Errors  # standard deviations of the measurements
-    bias: Errors  # biases of the measurements
+    noise: Measured  # standard deviations of the measurements
+    bias: Measured  # biases of the measurements
 
 
 class Gust(NamedTuple):
@@ -72,7 +63,7 @@ class Gust(NamedTuple):
 WEATHER = numbered(Weather)  # index of each number of a `Weather`
 WEATHER_ROWS = len(flatten(WEATHER))  # number of rows of a `Weather`
 GUST_ROWS = len(Gust._fields)  # number of rows of a `Gust`
-WAVE_ROWS = 7
+WAVE_ROWS = 1 + 2 * len(PLANE.load)
 """Numbers of a wave component: its angle per control step [rad], then for each axis the amplitudes of sine and cosine
 [N], [N], [N m]."""
 
@@ -171,9 +162,10 @@ def kernels() -> Mapping[str, Kernel]:
             "measured": measurement_errors(normals, w),
         }
 
-    gust_rows = {"gust": GUST_ROWS, "normals": 2, "weather": WEATHER_ROWS}
-    wave_rows = {"load": 3, "instant": 1, "waves": WAVE_ROWS}
-    rows = {"instant": 1, "swing": 2, "normals": 6, "weather": WEATHER_ROWS}
+    components, measurements = len(PLANE.current), len(PLANE.state)
+    gust_rows = {"gust": GUST_ROWS, "normals": components, "weather": WEATHER_ROWS}
+    wave_rows = {"load": len(PLANE.load), "instant": 1, "waves": WAVE_ROWS}
+    rows = {"instant": 1, "swing": components, "normals": measurements, "weather": WEATHER_ROWS}
     return {
         "gust_recursion": Kernel.traced(gust_recursion, gust_rows, ["normals", "swing"], shared=["weather"]),
         "wave_loads": Kernel.traced(wave_loads, wave_rows, ["waves"], shared=["waves"]),
@@ -191,8 +183,8 @@ class Compiled(NamedTuple):
 
 
 @cache
-def compiled(many: bool = True) -> Compiled | None:
-    """Return the functions of exogenous.c, or None if they cannot be compiled.
+def compiled(model: Model = PLANE, many: bool = True) -> Compiled | None:
+    """Return the functions of exogenous.c for the samples of a model, or None if they cannot be compiled.
 
     With `many` they are fast for several sub-environments, and their compilation takes twice the time.
     """
@@ -200,7 +192,7 @@ def compiled(many: bool = True) -> Compiled | None:
         normal = ctypes.CDLL(np.random._generator.__file__).random_standard_normal
     except (OSError, AttributeError):  # this build of NumPy does not export the function
         return None
-    library = together(kernels(), _code(), many=many)
+    library = together(kernels(), _code(model), many=many)
     if library is None:
         return None
     pointer, integer = ctypes.c_void_p, ctypes.c_long
@@ -212,10 +204,12 @@ def compiled(many: bool = True) -> Compiled | None:
     return Compiled(*functions, normal_address)
 
 
-def _code() -> str:
+def _code(model: Model) -> str:
     """Return the C code that calls the kernels."""
-    sizes = {"SAMPLES": SAMPLE_ROWS, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
+    sizes = {"SAMPLES": model.sample_rows, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
     sizes |= {"WEATHER": WEATHER_ROWS, "WAVE": WAVE_ROWS, "ENTRIES": len(_ENTRY)}
+    sizes |= {"REFERENCE": model.reference.stop, "CURRENT": len(model.current), "LOAD": len(model.load)}
+    sizes["VELOCITY"] = model.state.index(model.velocity[0])
     sizes |= {name.upper(): index for name, index in _ENTRY._asdict().items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     return head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8")
@@ -223,7 +217,7 @@ def _code() -> str:
 
 def digest() -> str:
     """Return the hash of the C source of all exogenous inputs."""
-    return library_digest(kernels(), _code())
+    return library_digest(kernels(), _code(PLANE))
 
 
 class ExogenousInputs:
@@ -232,8 +226,8 @@ class ExogenousInputs:
     def __init__(self, num_envs: int, block: int, parts: Parts) -> None:
         """Allocate memory for `num_envs` sub-environments, and for reading up to `block` control steps at once."""
         self._parts = parts
-        self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # for compiled code
-        empty: Array = np.zeros((1, REFERENCE.stop))
+        self._memory = np.empty((TILE * (parts.model.sample_rows + NORMALS) + NORMALS + 3, block))  # for compiled code
+        empty: Array = np.zeros((1, parts.model.reference.stop))
         self._tables = [empty] * num_envs
         self._states = np.zeros((num_envs, 4), dtype=np.uint64)  # of the generators SFC64
         self._entries = np.tile(
@@ -254,7 +248,7 @@ class ExogenousInputs:
 
     @property
     def _code(self) -> Compiled | None:
-        return compiled(many=len(self._tables) > 1)
+        return compiled(self._parts.model, many=len(self._tables) > 1)
 
     @cached_property
     def _arrays(self) -> list[int]:
@@ -295,7 +289,7 @@ class ExogenousInputs:
         waves = wave_components(episodes.waves, dt)
         self._entries[indices, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
         slowest = self._least_speed(indices) if math.isfinite(current.cap) else 0.0
-        weather = weather_of(current, dt, slowest, Errors(*noise), Errors(*episodes.bias))
+        weather = weather_of(current, dt, slowest, Measured(*noise), Measured(*episodes.bias))
         self._weather[indices] = spread(flatten(weather), len(indices)).T
         if (more := len(waves) - self._waves.shape[1]) > 0:
             self._waves = np.pad(self._waves, ((0, 0), (0, more), (0, 0)))
@@ -339,12 +333,13 @@ class ExogenousInputs:
             sizes = len(indices), n, self._waves.shape[1], time, row
             code.read_samples(*sizes, address(indices), address(columns), *self._arrays, address(out), code.normal)
         if len(idle := self._parts.places.idle):
-            out[:, SAMPLE_ROWS:, columns] = idle[:, None]
+            own = self._parts.model.sample_rows
+            out[:, own:, columns] = idle[:, None]
             ends = self._entries[indices, _ENTRY.next].tolist()
             for end, index, column in zip(ends, indices.tolist(), columns.tolist(), strict=True):
                 if index in self._series:
                     rows = self._series[index][end - n : end]
-                    out[: len(rows), SAMPLE_ROWS:, column] = rows
+                    out[: len(rows), own:, column] = rows
 
     def _with_idle(self, series: Sequence[Array | None], instants: int) -> Array:
         """Return the inputs of the effects in an episode, shape (T, rows); None stands for neutral ones."""
@@ -357,7 +352,7 @@ class ExogenousInputs:
 
     def _in_python(self, out: Array, indices: Indices, columns: Indices) -> None:
         """Write the samples of `read_into` by the same kernels as `read_samples` of exogenous.c."""
-        run, n = kernels(), len(out)
+        run, n, model = kernels(), len(out), self._parts.model
         for index, column in zip(indices.tolist(), columns.tolist(), strict=True):
             entry, weather = ExogenousProgram(*self._entries[index].tolist()), self._weather[index]
             time, waves = np.arange(entry.next, entry.next + n), self._waves[index, : entry.waves]
@@ -369,8 +364,9 @@ class ExogenousInputs:
             self._gust[index], swing = gust["gust"][:, 0], gust["swing"][:, :, 0].T
             load = run["wave_loads"](entry.waves, load=np.zeros((3, n)), instant=time[None], waves=waves)["load"]
             rest = run["current_and_noise"](instant=time[None], swing=swing, normals=noise, weather=weather)
-            out[:, REFERENCE, column] = self._tables[index][np.minimum(time, entry.instants - 1)]
-            for part, rows in ((CURRENT, rest["current"]), (LOAD, load), (NOISE, rest["measured"])):
+            out[:, model.reference, column] = self._tables[index][np.minimum(time, entry.instants - 1)]
+            parts = (model.current_rows, rest["current"]), (model.load_rows, load), (model.noise_rows, rest["measured"])
+            for part, rows in parts:
                 out[:, part, column] = rows.T
         self._entries[indices, _ENTRY.next] += n
 
@@ -395,11 +391,12 @@ def _drawn(state: NDArray[np.uint64], n: int, width: int) -> Array:
 
 def least_speed(tables: Sequence[Array]) -> Any:
     """Return the least speed [m/s] of each reference table, a row; a number for a single table."""
-    speeds = [math.sqrt((table[:, SAMPLE.u_R] ** 2 + table[:, SAMPLE.v_R] ** 2).min()) for table in tables]
+    u, v = map(PLANE.state.index, PLANE.velocity)
+    speeds = [math.sqrt((table[:, u] ** 2 + table[:, v] ** 2).min()) for table in tables]
     return np.array(speeds) if len(speeds) > 1 else speeds[0]
 
 
-def weather_of(current: Current, dt: float, slowest: Number, noise: Errors, bias: Errors) -> Weather:
+def weather_of(current: Current, dt: float, slowest: Number, noise: Measured, bias: Measured) -> Weather:
     """Return the constants of the current and the measurement errors of an episode with control period dt [s].
 
     The cap of the current is a fraction of the least speed of the reference, `slowest` [m/s].

@@ -274,7 +274,8 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of the simulation that its episodes use."""
-        effects = *(e for e in PACKAGE if e.used(self)), *map(type, self.effects)
+        own = (type(one) for one in self.effects)
+        effects = *(e for e in PACKAGE if e.used(self)), *(e for e in own if e not in PACKAGE)
         return Parts(self.substeps, effects, self.bound_factor)
 
     @property

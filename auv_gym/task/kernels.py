@@ -14,12 +14,8 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, single
 from auv_gym.codegen.kernel import Kernel, KernelRun, together
 from auv_gym.physics.namespaces import Array
-from auv_gym.task.observation import SIZE, action_of, decode, encode
 from auv_gym.task.policy import Law, corrected
-from auv_gym.task.simulation import Parameters, Parts, Plant, start, step
-
-ACTIONS = 2  # number of actions, surge and yaw
-STATES = 6  # number of rows of a `dynamics.State`
+from auv_gym.task.simulation import Parts, plant_row, start, step
 
 
 class Outcome(NamedTuple):
@@ -36,11 +32,13 @@ OUTCOMES = len(Outcome._fields)  # number of rows of an outcome
 
 def _observed(terms: Sequence[Any], law: Law | None, parts: Parts) -> list[Any]:
     """Return the rows of an observation, with the action of a control law appended if there is one."""
-    rows: list[Any] = encode(terms, SYMBOLS, parts.bound_factor)
+    layout = parts.model.layout
+    rows: list[Any] = layout.encode(terms, SYMBOLS, parts.bound_factor)
     if law is None:
         return rows
-    o = decode(rows, SYMBOLS)
-    return [*rows, *map(single, action_of(law.forces(o, SYMBOLS), o, SYMBOLS))]  # single precision, as `Law.predict`
+    o = layout.decode(rows, SYMBOLS)
+    action = layout.action_of(law.forces(o, SYMBOLS), o, SYMBOLS)
+    return [*rows, *map(single, action)]  # single precision, as `Law.predict`
 
 
 @lru_cache(maxsize=64)
@@ -58,14 +56,15 @@ def step_kernel(parts: Parts, law: Law | None = None, *, carried: bool = False) 
         plant: Any, seen: Any, action: Any, authority: Any, samples: Any, parameters: Any
     ) -> Mapping[str, Sequence[Any]]:
         if law is not None:
-            base = seen[SIZE:]
+            base = seen[parts.model.layout.size :]
             action = [corrected(*three, SYMBOLS) for three in zip(base, authority, action, strict=True)]
-        p = Parameters.of(parameters, parts)
-        moved, terms, (reward, failed, squared_error, saturated) = step(Plant.of(plant), action, samples, p, SYMBOLS)
+        before, p = parts.plant(plant), parts.parameters(parameters)
+        moved, terms, (reward, failed, squared_error, saturated) = step(before, action, samples, p, SYMBOLS)
         outcome = Outcome(reward, failed, SYMBOLS.sqrt(squared_error), saturated)
-        return {f"{after}plant": moved.rows, f"{after}seen": _observed(terms, law, parts), "outcome": outcome}
+        return {f"{after}plant": plant_row(moved), f"{after}seen": _observed(terms, law, parts), "outcome": outcome}
 
-    rows = {"plant": parts.plant_rows, "seen": columns(law), "action": ACTIONS, "authority": ACTIONS}
+    actions = len(parts.model.channels)
+    rows = {"plant": parts.plant_rows, "seen": columns(parts, law), "action": actions, "authority": actions}
     rows |= {"samples": parts.sample_rows, "parameters": parts.parameter_rows}
     return Kernel.traced(equation, rows, ["samples"])
 
@@ -75,10 +74,10 @@ def start_kernel(parts: Parts, law: Law | None = None) -> Kernel:
     """Return the kernel of `simulation.start`, from a state to the plant and the first observation."""
 
     def equation(state: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
-        plant, terms = start(tuple(state), sample, Parameters.of(parameters, parts), SYMBOLS)
-        return {"plant": plant.rows, "seen": _observed(terms, law, parts)}
+        plant, terms = start(tuple(state), sample, parts.parameters(parameters), SYMBOLS)
+        return {"plant": plant_row(plant), "seen": _observed(terms, law, parts)}
 
-    rows = {"state": STATES, "sample": parts.sample_rows, "parameters": parts.parameter_rows}
+    rows = {"state": len(parts.model.state), "sample": parts.sample_rows, "parameters": parts.parameter_rows}
     return Kernel.traced(equation, rows)
 
 
@@ -89,7 +88,7 @@ def started(
 
     Args:
         parts: the parts of the simulation in use.
-        states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (STATES, n).
+        states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (states, n).
         sample: rows of the first `simulation.Sample`, shape (`Parts.sample_rows`, n).
         parameters: rows of the `simulation.Parameters`, shape (`Parts.parameter_rows`, n).
         law: the control law whose action is appended to observations; None without one.
@@ -98,9 +97,9 @@ def started(
     return results["plant"], results["seen"]
 
 
-def columns(law: Law | None) -> int:
+def columns(parts: Parts, law: Law | None) -> int:
     """Return the number of columns of an observation, with the action of a control law if there is one."""
-    return SIZE if law is None else SIZE + ACTIONS
+    return parts.model.layout.size + (0 if law is None else len(parts.model.channels))
 
 
 class Side(NamedTuple):
@@ -118,7 +117,7 @@ class Simulator(Protocol):
     now: Side
 
     @property
-    def plant(self) -> Plant:
+    def plant(self) -> Any:
         """The present plants, rows of shape (N,)."""
 
     def place(self, indices: Any, plant: Array, observation: Array) -> None:
@@ -143,11 +142,11 @@ class Vehicles:
         samples: array for the rows of `simulation.Sample`, shape (T, `Parts.sample_rows`, N).
         parameters: array for the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
         law: the control law that actions correct; None if actions are commands.
-        authority: largest corrections of surge and yaw.
+        authority: largest corrections of the channels; none without a law.
         undoable: whether the last step can be undone: each step then writes to a second set of arrays.
 
     Attributes:
-        action: actions of the next step, shape (ACTIONS, N); commands, or corrections to a control law.
+        action: actions of the next step, shape (channels, N); commands, or corrections to a control law.
         outcome: rows of the `Outcome` of the last step, shape (OUTCOMES, N).
         now: the present plants and observations; if steps cannot be undone, these arrays stay the same.
         run: if steps cannot be undone, advances by several of them in less time than `step`; it takes the index of the
@@ -163,21 +162,21 @@ class Vehicles:
         samples: Array,
         parameters: Array,
         law: Law | None = None,
-        authority: Sequence[float] = (0.0, 0.0),
+        authority: Sequence[float] = (),
         *,
         undoable: bool = True,
     ) -> None:
         n = samples.shape[-1]
         self.parts, self.law = parts, law
-        self.action, self.outcome = np.zeros((ACTIONS, n)), np.zeros((OUTCOMES, n))
-        now, other = (Side(np.zeros((parts.plant_rows, n)), np.zeros((columns(law), n))) for _ in range(2))
+        self.action, self.outcome = np.zeros((len(parts.model.channels), n)), np.zeros((OUTCOMES, n))
+        now, other = (Side(np.zeros((parts.plant_rows, n)), np.zeros((columns(parts, law), n))) for _ in range(2))
         self.now, self._other = now, other if undoable else now
         self._inputs = {
             "action": self.action,
-            "authority": np.repeat(np.array(authority, dtype=np.float64)[:, None], n, axis=1),
+            "authority": np.repeat(np.array(authority or [0.0] * len(self.action))[:, None], n, axis=1),
             "samples": samples,
             "parameters": parameters,
-            "state": np.zeros((STATES, n)),
+            "state": np.zeros((len(parts.model.state), n)),
         }
         self._unbind()
         if law is not None:
@@ -249,6 +248,6 @@ class Vehicles:
         self.now, self._other, self.run, self._run_back = self._other, self.now, self._run_back, self.run
 
     @property
-    def plant(self) -> Plant:
+    def plant(self) -> Any:
         """The present plants, rows of shape (N,)."""
-        return Plant.of(tuple(self.now.plant))
+        return self.parts.plant(tuple(self.now.plant))

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.dynamics import Force
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Constants, Namespace, Number
 
 
@@ -54,48 +55,107 @@ class Observation(NamedTuple):
     dt: Annotated[Number, "s", 0.125, 80.0, "control period"]
 
 
-TERMS = tuple(Term(name, *hint.__metadata__) for name, hint in get_type_hints(Observation, include_extras=True).items())
-"""The terms of an observation in their order."""
-SIZE = len(TERMS)  # number of terms
-SCALES = np.array([term.scale for term in TERMS])  # (SIZE,) divisors of the terms in SI units
-BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) bounds of the scaled terms
-ERROR_TERMS = 6
-"""Number of the first terms that are clipped; the others are within their bounds by construction."""
-
-_SCALES, _INVERSE = Constants.of(SCALES), Constants.of(1.0 / SCALES)
 _LARGE = "m", "N", "N m"
 """Units of the terms whose bounds depend on the size of the vehicle."""
 
 
-def bounds(bound_factor: int) -> NDArray[np.float64]:
-    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, times a factor for lengths, forces and torques.
+@dataclass(frozen=True)
+class Layout:
+    """How the terms of an observation are encoded."""
 
-    The scales are the same for all vehicles, so an observation is decoded without its scenario. Scenarios of ships have
-    wider bounds of lengths and forces: their bound factor is a power of two above 1.
-    """
-    return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(bound_factor), 1.0)
+    terms: tuple[Term, ...]
+    clipped: int  # number of the first terms that are clipped; the others are within their bounds by construction
+    limits: tuple[int, ...]  # indices of the limits of the channels
+    last: tuple[int, ...]  # indices of the previous action
+
+    @classmethod
+    def of(cls, observation: Any) -> Layout:
+        """Return the layout of a NamedTuple of terms, of which `F_c_max` and `a_c` are those of a channel c.
+
+        The errors come first: terms whose names end in `_e` or begin with `e_`.
+        """
+        hints = get_type_hints(observation, include_extras=True)
+        names = list(hints)
+        clipped = sum(name.endswith("_e") or name.startswith("e_") for name in names)
+        limits = (i for i, name in enumerate(names) if name.endswith("_max"))
+        last = (i for i, name in enumerate(names) if name.startswith("a_"))
+        terms = (Term(name, *hint.__metadata__) for name, hint in hints.items())
+        return cls(tuple(terms), clipped, tuple(limits), tuple(last))
+
+    @cached_property
+    def positive(self) -> list[int]:
+        """Indices of the limits and of the control period, which are positive in a valid observation."""
+        return [*self.limits, [term.name for term in self.terms].index("dt")]
+
+    @cached_property
+    def size(self) -> int:
+        """Number of terms."""
+        return len(self.terms)
+
+    @cached_property
+    def scales(self) -> NDArray[np.float64]:
+        """Divisors of the terms in SI units, shape (size,)."""
+        return np.array([term.scale for term in self.terms])
+
+    def bounds(self, bound_factor: int) -> NDArray[np.float64]:
+        """Return the bounds of the scaled terms, shape (size,), with a factor for lengths, forces and torques.
+
+        The scales are the same for all vehicles, so an observation is decoded without its scenario. Scenarios of ships
+        have wider bounds of lengths and forces: their bound factor is a power of two above 1.
+        """
+        known = np.array([term.bound for term in self.terms])
+        return known * np.where([term.unit in _LARGE for term in self.terms], float(bound_factor), 1.0)
+
+    @cached_property
+    def _constants(self) -> tuple[Constants, Constants]:
+        return Constants.of(self.scales), Constants.of(1.0 / self.scales)
+
+    @cached_property
+    def _error_bounds(self) -> dict[int, Constants]:
+        return {2**k: Constants.of(self.bounds(2**k)[: self.clipped]) for k in range(32)}
+
+    def encode(self, terms: Sequence[Number], ns: Namespace, bound_factor: int) -> Any:
+        """Return observations, with the terms on the first axis, for terms in SI units."""
+        rows = ns.scaled(terms, self._constants[1])
+        rows[: self.clipped] = ns.bounded(rows[: self.clipped], self._error_bounds[bound_factor])
+        return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
+
+    def decode(self, rows: Any, ns: Namespace) -> Any:
+        """Return the terms in SI units of observations with the terms on the first axis."""
+        return ns.scaled(rows, self._constants[0])
+
+    def terms_of(self, observation: NDArray[Any]) -> Any:
+        """Return the terms in SI units of observations (size,) or (N, size), or wider: a list of floats, or rows (N,).
+
+        Raises:
+            ValueError: the array has another number of dimensions, or fewer columns.
+        """
+        shape = observation.shape
+        if not 1 <= len(shape) <= 2 or shape[-1] < self.size:
+            raise ValueError(f"observation has shape {shape}; it must be ({self.size},) or (N, {self.size}), or wider")
+        if shape[-1] > self.size:
+            observation = observation[..., : self.size]
+        return self.decode(observation, FLOATS).tolist() if len(shape) == 1 else self.decode(observation.T, ARRAYS)
+
+    def action_of(self, forces: Sequence[Number], o: Sequence[Number], ns: Namespace) -> tuple[Number, ...]:
+        """Return the action that commands forces [N], [N m], one for each channel, clipped to [-1, 1].
+
+        Args:
+            forces: of the channels, F_u and F_r in the plane.
+            o: the terms of an observation in SI units.
+            ns: the namespace of the numbers.
+        """
+        clip = ns.clip
+        return tuple([clip(F / o[i], -1.0, 1.0) for F, i in zip(forces, self.limits, strict=True)])
 
 
-_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERROR_TERMS]) for k in range(32)}  # by bound factor
-
-
-def encode(terms: Sequence[Number], ns: Namespace, bound_factor: int) -> Any:
-    """Return observations, with the terms on the first axis, for terms in SI units; for the bound factor see `bounds`.
-
-    For a single vehicle a check of the bounds takes less time than clipping.
-    """
-    rows = ns.scaled(terms, _INVERSE)
-    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERROR_TERMS], L * bound_factor
-    if ns is not FLOATS or not (
-        -far < e_x < far and -far < e_y < far and -V < u_e < V and -V < v_e < V and -W < r_e < W
-    ):
-        rows[:ERROR_TERMS] = ns.bounded(rows[:ERROR_TERMS], _ERROR_BOUNDS[bound_factor])
-    return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
-
-
-def decode(rows: Any, ns: Namespace) -> Any:
-    """Return the terms in SI units of observations with the terms on the first axis."""
-    return ns.scaled(rows, _SCALES)
+PLANE_LAYOUT = Layout.of(Observation)
+"""How an observation in the plane is encoded."""
+TERMS, SIZE, SCALES, ERROR_TERMS = PLANE_LAYOUT.terms, PLANE_LAYOUT.size, PLANE_LAYOUT.scales, PLANE_LAYOUT.clipped
+"""The terms of an observation in the plane in their order, their number, their divisors, and how many are clipped."""
+bounds, encode, decode = PLANE_LAYOUT.bounds, PLANE_LAYOUT.encode, PLANE_LAYOUT.decode
+action_of, decoded_terms = PLANE_LAYOUT.action_of, PLANE_LAYOUT.terms_of
+BOUNDS = bounds(1)  # (SIZE,) bounds of the scaled terms
 
 
 def encode_observation(terms: Sequence[float], bound_factor: int = 1) -> NDArray[np.float64]:
@@ -110,35 +170,9 @@ def decode_observation(observation: NDArray[Any]) -> Observation:
     It is exact except for clipped terms. Further columns, such as those of the residual environment, are ignored.
 
     Raises:
-        ValueError: the array has another number of dimensions, or fewer columns.
+        ValueError: see `Layout.terms_of`.
     """
     return Observation._make(decoded_terms(observation))
-
-
-def decoded_terms(observation: NDArray[Any]) -> Any:
-    """Return the terms of `decode_observation` as a list of floats or an array of rows, in a third of the time."""
-    shape = observation.shape
-    if not 1 <= len(shape) <= 2 or shape[-1] < SIZE:
-        raise ValueError(f"observation has shape {shape}; it must be ({SIZE},) or (N, {SIZE}), or wider")
-    if shape[-1] > SIZE:
-        observation = observation[..., :SIZE]
-    return decode(observation, FLOATS).tolist() if len(shape) == 1 else decode(observation.T, ARRAYS)
-
-
-F_U_MAX = Observation._fields.index("F_u_max")  # index of the surge limit in an observation
-F_R_MAX = Observation._fields.index("F_r_max")  # index of the yaw limit in an observation
-
-
-def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:
-    """Return the action that commands F_u [N], F_r [N m], clipped to [-1, 1].
-
-    Args:
-        forces: F_u, F_r.
-        o: an `Observation`, or its terms in that order.
-        ns: the namespace of the numbers.
-    """
-    F_u, F_r = forces
-    return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
 def reference_bounds(bound_factor: int) -> list[float]:

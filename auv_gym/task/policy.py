@@ -5,24 +5,23 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Namespace, Number
-from auv_gym.task.observation import F_R_MAX, F_U_MAX, SIZE, Observation, action_of, decoded_terms
+from auv_gym.task.observation import PLANE_LAYOUT, Layout
 
+POSITIVE = PLANE_LAYOUT.positive
+"""Indices of the limits and the control period, which are positive in a valid observation in the plane."""
 LARGEST = 1e12
 """Largest magnitude of a valid entry of an observation; those of the largest ships are below 2e11."""
-_A_U = Observation._fields.index("a_u")  # index of the last surge command; that of yaw follows
-POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]
-"""Indices of the limits and the control period, which are positive in a valid observation."""
-Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, Number]]
+Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, ...]]
 """A function that returns F_u [N], F_r [N m] for the terms of an observation in SI units and a namespace."""
 
 
-def measured(observation: NDArray[Any]) -> bool:
+def measured(observation: NDArray[Any], layout: Layout = PLANE_LAYOUT) -> bool:
     """Return True only if observations, (n,) or (N, n), are `usable`, within two microseconds.
 
     The test is that of the sum of squares, so it can return False for valid entries.
@@ -31,21 +30,21 @@ def measured(observation: NDArray[Any]) -> bool:
     if not entries.dot(entries) <= LARGEST * LARGEST:
         return False
     if observation.ndim == 1:
-        return bool(min(map(observation.item, POSITIVE)) > 0)
-    return bool(observation.T[POSITIVE].min(initial=math.inf) > 0)
+        return bool(min(map(observation.item, layout.positive)) > 0)
+    return bool(observation.T[layout.positive].min(initial=math.inf) > 0)
 
 
-def usable(rows: NDArray[Any]) -> NDArray[np.bool_]:
+def usable(rows: NDArray[Any], layout: Layout = PLANE_LAYOUT) -> NDArray[np.bool_]:
     """Return whether each observation, rows (N, n), is valid, shape (N,).
 
     All entries must be finite and at most `LARGEST`, and limits and control period positive.
     """
-    return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, POSITIVE] > 0).all(axis=1))
+    return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, layout.positive] > 0).all(axis=1))
 
 
-def last_commands(rows: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the previous actions in observations, rows (N, n), shape (N, 2); zero if invalid."""
-    last = rows[:, _A_U : _A_U + 2]
+def last_commands(rows: NDArray[Any], layout: Layout = PLANE_LAYOUT) -> NDArray[np.float32]:
+    """Return the previous actions in observations, rows (N, n), shape (N, channels); zero if invalid."""
+    last = rows[:, layout.last]
     return np.where(np.abs(last) <= 1.0, last, 0.0).astype(np.float32)
 
 
@@ -71,10 +70,11 @@ class Law(ABC):
         repeated: number of repeated commands since the law was made, see `predict`.
     """
 
+    layout: ClassVar[Layout] = PLANE_LAYOUT  # of the observations
     repeated = 0
 
     @abstractmethod
-    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, ...]:
         """Return F_u [N], F_r [N m] for an `Observation` in SI units, or its terms in that order."""
 
     def check(self, terms: Any) -> None:
@@ -96,19 +96,20 @@ class Law(ABC):
         Raises:
             ValueError: the observation has another shape.
         """
-        o = decoded_terms(observation)
-        if not measured(terms := observation[..., :SIZE]):
+        layout = self.layout
+        o = layout.terms_of(observation)
+        if not measured(terms := observation[..., : layout.size], layout):
             rows = np.atleast_2d(terms)
-            action, good = last_commands(rows), usable(rows)
+            action, good = last_commands(rows, layout), usable(rows, layout)
             vars(self)["repeated"] = self.repeated + int(np.count_nonzero(~good))  # a law may be a frozen dataclass
             if good.any():
-                o = decoded_terms(rows[good])
-                action[good] = np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1)
-            return action.reshape(*observation.shape[:-1], 2), state
+                o = layout.terms_of(rows[good])
+                action[good] = np.stack(layout.action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1)
+            return action.reshape(*observation.shape[:-1], -1), state
         self.check(o)
         if observation.ndim == 1:
-            return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
-        return np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
+            return np.array(layout.action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
+        return np.stack(layout.action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
 
 
 def traceable(policy: Any) -> bool:
@@ -136,13 +137,14 @@ def corrected(base: Number, authority: Number, correction: Number, ns: Namespace
     return ns.clip(base + authority * ns.clip(correction, -1.0, 1.0), -1.0, 1.0)
 
 
-def checked_authority(authority: float | Sequence[float]) -> tuple[float, float]:
-    """Return the largest correction of surge and yaw command as a pair.
+def checked_authority(authority: float | Sequence[float], channels: int = 2) -> tuple[float, ...]:
+    """Return the largest correction of each channel, surge and yaw in the plane.
 
     Raises:
-        ValueError: it is neither a number nor a pair, or is not in (0, 2].
+        ValueError: it is neither a number nor one for each channel, or is not in (0, 2].
     """
-    pair = tuple(authority) if isinstance(authority, Sequence) else (authority, authority)
-    if len(pair) != 2 or not all(isinstance(a, (int, float)) and 0 < a <= 2 for a in pair):
-        raise ValueError(f"authority is {authority!r}; it must be a number in (0, 2], or one each for surge and yaw")
-    return float(pair[0]), float(pair[1])
+    each = tuple(authority) if isinstance(authority, Sequence) else (authority,) * channels
+    if len(each) != channels or not all(isinstance(a, (int, float)) and 0 < a <= 2 for a in each):
+        several = "surge and yaw" if channels == 2 else f"{channels} channels"
+        raise ValueError(f"authority is {authority!r}; it must be a number in (0, 2], or one each for {several}")
+    return tuple(map(float, each))

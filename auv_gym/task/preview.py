@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices, Namespace, Number
 from auv_gym.planning.paths import Path, evaluate_paths
-from auv_gym.task.observation import SIZE, L, Observation, bounds, decode
+from auv_gym.task.model import PLANE, Model
+from auv_gym.task.observation import PLANE_LAYOUT, SIZE, L, Layout, Observation
 
 _FARTHEST = 1000
 """Largest number of control periods of a preview."""
@@ -56,9 +57,9 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
     return extra
 
 
-def observation_bounds(preview: tuple[int, ...], bound_factor: int) -> Array:
-    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the bound factor see `bounds`."""
-    return np.append(bounds(bound_factor), np.full(2 * len(preview), L * bound_factor))
+def observation_bounds(preview: tuple[int, ...], bound_factor: int, layout: Layout = PLANE_LAYOUT) -> Array:
+    """Return the bounds of an observation with a preview, shape (size + 2 P,); see `Layout.bounds`."""
+    return np.append(layout.bounds(bound_factor), np.full(2 * len(preview), L * bound_factor))
 
 
 class Preview:
@@ -105,15 +106,16 @@ class Preview:
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
 
 
-def with_preview(rows: Array, ahead: Array, bound_factor: int) -> Array:
-    """Return observations with their previews, a new array (SIZE + 2 P, n).
+def with_preview(rows: Array, ahead: Array, bound_factor: int, model: Model = PLANE) -> Array:
+    """Return observations with their previews, a new array (size + 2 P, n).
 
     Args:
-        rows: the observations, shape (SIZE, n) or more rows.
+        rows: the observations, shape (size, n) or more rows.
         ahead: displacements in the world [m], see `Preview.ahead`, shape (P, 2, n).
-        bound_factor: see `bounds`.
+        bound_factor: see `Layout.bounds`.
+        model: of the observations.
     """
-    o = Observation._make(decode(rows[:SIZE], ARRAYS))
+    o = model.Observation._make(model.layout.decode(rows[: model.layout.size], ARRAYS))
     return np.vstack((rows, *preview_columns([*ahead.reshape(2 * len(ahead), -1)], o, ARRAYS, bound_factor)))
 
 

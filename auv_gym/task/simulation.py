@@ -11,64 +11,14 @@ from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 from auv_gym.effects import PACKAGE, Effect
-from auv_gym.effects.actuators import Response, respond
-from auv_gym.effects.base import At, Measured, Places, act, neutral, places_of
-from auv_gym.physics.dynamics import CurrentVelocity, Force, State, rk4_step
-from auv_gym.physics.errors import to_body, tracking_errors
-from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.physics.rows import flatten, numbered, unflatten
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.effects.actuators import respond
+from auv_gym.effects.base import At, Measured, Places, act, flat, made_of, neutral_constants, places_of
+from auv_gym.physics.namespaces import Namespace, Number, sum_of_squares
+from auv_gym.physics.rows import flatten, unflatten
+from auv_gym.task.model import PLANE, Model, Parameters, Plant, Sample
 from auv_gym.task.reward import failed, reward
 
-
-class Plant(NamedTuple):
-    """The states of vehicle, actuators and memory at one control instant: floats, arrays (N,) or tensors."""
-
-    x: Number  # [m]
-    y: Number  # [m]
-    psi: Number  # [rad]
-    u: Number  # [m/s] relative to the water
-    v: Number  # [m/s]
-    r: Number  # [rad/s]
-    F_u: Number  # [N] of the actuators
-    F_r: Number  # [N m]
-    a_u: Number  # last action
-    a_r: Number
-    memory: tuple[Number, ...] = ()  # of the effects in use, rows after the others
-
-    @classmethod
-    def of(cls, rows: Sequence[Number]) -> Plant:
-        """Return the plant of its rows, floats or rows of shape (N,)."""
-        return cls._make((*rows[:PLANT_ROWS], tuple(rows[PLANT_ROWS:])))
-
-    @property
-    def rows(self) -> tuple[Number, ...]:
-        """Its rows."""
-        return *self[:PLANT_ROWS], *self.memory
-
-
-class Sample(NamedTuple):
-    """The exogenous inputs at one control instant; current and load act over the period that ends there."""
-
-    x_R: Number  # [m] reference
-    y_R: Number  # [m]
-    psi_R: Number  # [rad]
-    u_R: Number  # [m/s]
-    v_R: Number  # [m/s]
-    r_R: Number  # [rad/s]
-    F_uR: Number  # [N]
-    F_rR: Number  # [N m]
-    V_x: Number  # [m/s] current without shear
-    V_y: Number  # [m/s]
-    X: Number  # [N] external load
-    Y: Number  # [N]
-    N: Number  # [N m]
-    n_x: Number  # [m] measurement errors
-    n_y: Number  # [m]
-    n_psi: Number  # [rad]
-    n_u: Number  # [m/s]
-    n_v: Number  # [m/s]
-    n_r: Number  # [rad/s]
+__all__ = ["Parameters", "Plant", "Sample"]
 
 
 class Parts(NamedTuple):
@@ -77,80 +27,83 @@ class Parts(NamedTuple):
     substeps: int = 1  # integration steps per control period
     effects: tuple[type[Effect], ...] = ()  # in the order in which they act
     bound_factor: int = 1  # factor of the bounds of an observation, see `observation.bounds`
+    model: Model = PLANE  # kind of motion
 
     def joined(self, other: Parts) -> Parts:
-        """Return the union of both, with the larger number of integration steps; the package's effects come first."""
+        """Return the union of both, with the larger number of integration steps; the package's effects come first.
+
+        Raises:
+            ValueError: their models differ.
+        """
+        if self.model != other.model:
+            raise ValueError(
+                f"scenarios of the models {self.model.name!r} and {other.model.name!r} cannot run together"
+            )
         both = dict.fromkeys((*self.effects, *other.effects))
         effects = (*(e for e in PACKAGE if e in both), *(e for e in both if e not in PACKAGE))
-        return Parts(max(self.substeps, other.substeps), effects, max(self.bound_factor, other.bound_factor))
+        bound_factor = max(self.bound_factor, other.bound_factor)
+        return Parts(max(self.substeps, other.substeps), effects, bound_factor, self.model)
 
     @property
     def places(self) -> Places:
         """The places of the rows of the effects."""
-        return places_of(self.effects)
+        return places_of(self.effects, len(self.model.channels))
 
     @property
     def plant_rows(self) -> int:
         """Number of rows of a plant."""
-        return PLANT_ROWS + self.places.sizes[1]
+        return self.model.plant_rows + self.places.sizes[1]
 
     @property
     def sample_rows(self) -> int:
         """Number of rows of a sample with the inputs of the effects."""
-        return SAMPLE_ROWS + self.places.sizes[2]
+        return self.model.sample_rows + self.places.sizes[2]
 
     @property
     def parameter_rows(self) -> int:
         """Number of rows of the parameters."""
-        return PARAMETER_ROWS + self.places.sizes[0]
+        return self.model.parameter_rows + self.places.sizes[0]
+
+    def plant(self, rows: Sequence[Number]) -> Any:
+        """Return the plant of its rows, floats or rows of shape (N,)."""
+        n = self.model.plant_rows
+        return self.model.Plant._make((*rows[:n], tuple(rows[n:])))
+
+    def parameters(self, rows: Sequence[Number]) -> Any:
+        """Return the parameters of their rows, floats or rows of shape (N,)."""
+        known, own = unflatten(self.model.parameters, rows), tuple(rows[self.model.parameter_rows :])
+        return known._replace(parts=self, own=own)
 
 
-class Parameters(NamedTuple):
-    """The constants of an episode: floats, or rows of shape (N,)."""
-
-    h: Number  # [s] integration step
-    coefficients: Coefficients  # of the true vehicle
-    F_u_max: Number  # [N] force that action 1 commands, as observed
-    F_r_max: Number  # [N m]
-    response: Response
-    error_scale: Number  # [m]
-    rate_weight: Number
-    lost_distance: Number  # [m]
-    thrust_u: Number  # [N] true force at action 1
-    thrust_r: Number  # [N m]
-    parts: Parts = Parts()
-    own: tuple[Number, ...] = ()  # constants of the effects, rows after the others
-
-    @classmethod
-    def of(cls, rows: Sequence[Number], parts: Parts) -> Parameters:
-        """Return the parameters for their numbers in the order of the fields."""
-        return unflatten(PARAMETERS, rows)._replace(parts=parts, own=tuple(rows[PARAMETER_ROWS:]))
-
-    @property
-    def rows(self) -> tuple[Number, ...]:
-        """Its rows."""
-        return *flatten(self), *self.own
-
-    def constants(self, effect: type[Effect]) -> Any:
-        """Return the constants of an effect, neutral ones if it is not in use."""
-        place = self.parts.places.constants.get(effect)
-        return neutral(effect.Constants) if place is None else effect.Constants(*self.own[place])
+def plant_row(plant: Any) -> tuple[Number, ...]:
+    """Return the rows of a plant, see `Parts.plant`."""
+    return *plant[:-1], *plant.memory
 
 
-PLANT_ROWS = len(Plant._fields) - 1  # number of rows of a plant without effects
-PLANT = numbered(Plant)  # index of each number of a plant
-SAMPLE = numbered(Sample)  # index of each number of a sample: `SAMPLE.V_x` is that of the current V_x
-PARAMETERS = numbered(Parameters)  # index of each number of the parameters
-SAMPLE_ROWS = len(flatten(SAMPLE))  # number of rows of a sample without effects
-PARAMETER_ROWS = len(flatten(PARAMETERS))  # number of rows of the parameters without effects
-REFERENCE = slice(SAMPLE.x_R, SAMPLE.F_rR + 1)  # rows of the reference in a sample
-CURRENT = slice(SAMPLE.V_x, SAMPLE.V_y + 1)  # rows of the current in a sample
-LOAD = slice(SAMPLE.X, SAMPLE.N + 1)  # rows of the external load in a sample
-NOISE = slice(SAMPLE.n_x, SAMPLE.n_r + 1)  # rows of the measurement errors in a sample
+def parameter_row(p: Any) -> tuple[Number, ...]:
+    """Return the rows of parameters, see `Parts.parameters`."""
+    return *flatten(p), *p.own
 
-_new = tuple.__new__
-"""Makes a named tuple of a tuple in a quarter of the time."""
 
+def constants_of(p: Any, effect: type[Effect]) -> Any:
+    """Return the constants of an effect in parameters, neutral ones if it is not in use."""
+    place = p.parts.places.constants.get(effect)
+    if place is None:
+        return neutral_constants(effect, len(p.parts.model.channels))
+    return made_of(effect, "Constants", p.own[place])
+
+
+PLANT, SAMPLE, PARAMETERS = PLANE.plant, PLANE.sample, PLANE.parameters
+"""Index of each number of plant, sample and parameters in the plane: `SAMPLE.V_x` is that of the current V_x."""
+SAMPLE_ROWS, PARAMETER_ROWS = PLANE.sample_rows, PLANE.parameter_rows
+"""Numbers of rows of samples and parameters in the plane without effects."""
+REFERENCE, CURRENT, LOAD, NOISE = PLANE.reference, PLANE.current_rows, PLANE.load_rows, PLANE.noise_rows
+"""Rows of reference, current, external load and measurement errors of a sample in the plane."""
+
+State: TypeAlias = tuple[Any, ...]
+"""The numbers of a state, in the order of the model."""
+Force: TypeAlias = tuple[Any, ...]
+"""A number for each channel."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `observation.TERMS`."""
 StepOutcome: TypeAlias = tuple[Number, Number, Number, Number]
@@ -169,7 +122,7 @@ class _Effects:
     def __init__(
         self,
         sample: Sequence[Number],
-        p: Parameters,
+        p: Any,
         ns: Namespace,
         memory: Sequence[Number] | None = None,
         last_action: Any = (),
@@ -177,22 +130,22 @@ class _Effects:
     ) -> None:
         self._sample, self._p, self._ns, self._begins = sample, p, ns, begins
         self._last_action = self.action = last_action
-        self.noise: Any = sample[NOISE]
+        self.noise: Any = sample[p.parts.model.noise_rows]
         self._memory: dict[type[Effect], Any] = {}
         self._last = Measured(*(None,) * 6)
         if memory is not None:
             places = p.parts.places
-            self._memory = {e: e.Memory(*memory[place]) for e, place in places.memory.items()}
+            self._memory = {e: made_of(e, "Memory", memory[place]) for e, place in places.memory.items()}
             self._last = self._last._replace(**{name: memory[place] for name, place in places.last.items()})
 
     def __call__(self, point: str, value: Any, state: Any, before: Any) -> Any:
         """Return the value after the effects at a point; `before` is the state one control period earlier."""
-        p, inputs = self._p, self._sample[SAMPLE_ROWS:]
-        for effect in _acting(p.parts.effects, point):
-            rows = effect.Inputs(*inputs[p.parts.places.inputs[effect]])
+        p, parts, model = self._p, self._p.parts, self._p.parts.model
+        for effect in _acting(parts.effects, point):
+            inputs = effect.Inputs(*self._sample[model.sample_rows :][parts.places.inputs[effect]])
             at = At(
-                p.constants(effect), rows, state, before, self.action, self._last_action, self._last, self.noise,
-                p.coefficients, (p.F_u_max, p.F_r_max), p.h * p.parts.substeps, self._begins, self._ns,
+                constants_of(p, effect), inputs, state, before, self.action, self._last_action, self._last, self.noise,
+                p.coefficients, model.limits(p), p.h * parts.substeps, self._begins, model.channels, self._ns,
             )  # fmt: skip
             try:
                 value, self._memory[effect] = act(effect, point, value, self._memory.get(effect), at)
@@ -202,131 +155,127 @@ class _Effects:
 
     def after(self, measured: Sequence[Number]) -> tuple[Number, ...]:
         """Return the memory after the step, for the measurements of this control instant."""
-        places, known = self._p.parts.places, Measured(*measured)
-        own = (x for effect in places.memory for x in self._memory[effect])
-        return *own, *(getattr(known, name) for name in places.last)
+        model, places = self._p.parts.model, self._p.parts.places
+        own = (x for effect in places.memory for x in flat(effect, self._memory[effect]))
+        return *own, *(measured[model.state.index(name)] for name in places.last)
 
 
-def start(state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) -> tuple[Plant, Terms]:
+def start(state: State, sample: Sequence[Number], p: Any, ns: Namespace) -> tuple[Any, Terms]:
     """Return the plant with actuators at rest, and the first observation."""
-    zero = state[0] * 0.0
-    effects = _Effects(sample, p, ns, (zero,) * p.parts.places.sizes[1], (zero, zero), begins=True)
+    zero, model = state[0] * 0.0, p.parts.model
+    rest = (zero,) * len(model.channels)
+    effects = _Effects(sample, p, ns, (zero,) * p.parts.places.sizes[1], rest, begins=True)
     measured, terms = _observe(state, state, effects, sample, p, ns)
-    return Plant(*state, zero, zero, zero, zero, effects.after(measured)), terms
+    return model.Plant(*state, *rest, *rest, effects.after(measured)), terms
 
 
 def moved(
-    state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
+    state: State, force: Force, command: Force, sample: Sequence[Number], p: Any, ns: Namespace
 ) -> tuple[State, Force]:
     """Return the state and the actuator forces [N], [N m] one control period later.
 
     Args:
-        state: x, y, psi, u, v, r, relative to the water.
+        state: with velocities relative to the water; x, y, psi, u, v, r in the plane.
         force: of the actuators.
         command: of the actuators, as fractions of the force at action 1.
         sample: the numbers of a `Sample`, see `step`.
         p: the constants of the episode.
         ns: the namespace of the numbers.
     """
-    X, Y, N = sample[LOAD]
+    model = p.parts.model
     mean, force = respond(force, ordered(command, state, sample, p, ns), p.response, ns)
-    load, current = (mean[0] + X, Y, mean[1] + N), current_at(state, sample, p, ns)
+    load, current = list(sample[model.load_rows]), current_at(state, sample, p, ns)
+    for component, share in zip(model.driven, mean, strict=True):
+        load[model.load.index(component)] = share + load[model.load.index(component)]
     coefficients = _Effects(sample, p, ns)("vehicle", p.coefficients.without_lift, state, state)
     for _ in range(p.parts.substeps):
-        state = rk4_step(state, load, coefficients, p.h, current, ns)
+        state = model.advance(state, tuple(load), coefficients, p.h, current, ns)
     return state, force
 
 
-def ordered(command: Force, state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) -> Force:
-    """Return the force [N] and torque [N m] that reach the actuators, before their lag; arguments as in `moved`."""
+def ordered(command: Force, state: State, sample: Sequence[Number], p: Any, ns: Namespace) -> Force:
+    """Return the forces [N], [N m] that reach the actuators, before their lag; arguments as in `moved`."""
     effects = _Effects(sample, p, ns)
-    share_u, share_r = effects("share", command, state, state)
-    thrust_u, thrust_r = effects("thrust", (p.thrust_u, p.thrust_r), state, state)
-    return share_u * thrust_u, share_r * thrust_r
+    shares = effects("share", command, state, state)
+    thrusts = effects("thrust", p.parts.model.thrusts(p), state, state)
+    return tuple(share * thrust for share, thrust in zip(shares, thrusts, strict=True))
 
 
 def step(
-    plant: Plant,
+    plant: Any,
     action: Sequence[Number],
     sample: Sequence[Number],
-    p: Parameters,
+    p: Any,
     ns: Namespace,
     move: Callable[..., tuple[State, Force]] = moved,
-) -> tuple[Plant, Terms, StepOutcome]:
+) -> tuple[Any, Terms, StepOutcome]:
     """Return the plant one control period later, its observation, and the outcome of the step.
 
     Args:
-        plant: the plant before the step.
-        action: surge and yaw command as fractions of the limits; clipped to [-1, 1].
-        sample: the exogenous inputs at the end of the period, the numbers of a `Sample` and those of the effects.
-        p: the constants of the episode.
+        plant: a `Model.Plant`, before the step.
+        action: a command for each channel as fraction of its limit; clipped to [-1, 1].
+        sample: the exogenous inputs at the end of the period, the numbers of a `Model.Sample` and those of the effects.
+        p: the constants of the episode, a `Model.Parameters`.
         ns: the namespace of the numbers.
         move: a function with the interface of `moved`, which moves vehicle and actuators.
     """
-    before, (F_u, F_r, a_u0, a_r0, memory) = plant[:6], plant[6:]
-    a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
-    effects = _Effects(sample, p, ns, memory, (a_u0, a_r0))
-    effects.action = a_u, a_r
-    command = effects("command", (a_u, a_r), before, before)
-    load = effects("load", tuple(sample[LOAD]), before, before)
-    sample = (*sample[: LOAD.start], *load, *sample[LOAD.stop :])
-    state, (F_u, F_r) = move(before, (F_u, F_r), command, sample, p, ns)
+    model = p.parts.model
+    states, channels = len(model.state), len(model.channels)
+    before, force, last = plant[:states], plant[states : states + channels], plant[states + channels : -1]
+    sent = tuple(ns.clip(a, -1.0, 1.0) for a in action)
+    effects = _Effects(sample, p, ns, plant.memory, last)
+    effects.action = sent
+    command = effects("command", sent, before, before)
+    load = effects("load", tuple(sample[model.load_rows]), before, before)
+    sample = (*sample[: model.load_rows.start], *load, *sample[model.load_rows.stop :])
+    state, force = move(before, force, command, sample, p, ns)
     measured, terms = _observe(state, before, effects, sample, p, ns)
-    x, y, *_ = state
-    e_x, e_y, d_u, d_r = x - sample[SAMPLE.x_R], y - sample[SAMPLE.y_R], a_u - a_u0, a_r - a_r0
-    squared_error = e_x * e_x + e_y * e_y
-    earned = reward(squared_error, d_u * d_u + d_r * d_r, p.error_scale, p.rate_weight, ns)
+    squared_error = sum_of_squares([state[i] - sample[i] for i in range(len(model.position))])
+    squared_change = sum_of_squares([now - then for now, then in zip(sent, last, strict=True)])
+    earned = reward(squared_error, squared_change, p.error_scale, p.rate_weight, ns)
+    at_limit, *others = (abs(a) >= 1.0 for a in sent)
+    for other in others:
+        at_limit = at_limit | other
     outcome = (
         effects("reward", earned, state, before),
         effects("failed", failed(squared_error, p.lost_distance), state, before),
         squared_error,
-        (abs(a_u) >= 1.0) | (abs(a_r) >= 1.0),
+        at_limit,
     )
-    return _new(Plant, (*state, F_u, F_r, a_u, a_r, effects.after(measured))), terms, outcome
+    return model.Plant(*state, *force, *sent, effects.after(measured)), terms, outcome
 
 
-def current_at(state: Sequence[Number], sample: Sequence[Number], p: Parameters, ns: Namespace) -> CurrentVelocity:
-    """Return the current V_x, V_y [m/s] at the position of a state, for a sample."""
-    current: CurrentVelocity = _Effects(sample, p, ns)("current", tuple(sample[CURRENT]), state, state)
-    return current
+def current_at(state: Sequence[Number], sample: Sequence[Number], p: Any, ns: Namespace) -> Any:
+    """Return the current [m/s] at the position of a state, for a sample; V_x, V_y in the plane."""
+    return _Effects(sample, p, ns)("current", tuple(sample[p.parts.model.current_rows]), state, state)
 
 
 def _observe(
-    state: State,
-    before: State,
-    effects: _Effects,
-    sample: Sequence[Number],
-    p: Parameters,
-    ns: Namespace,
+    state: State, before: State, effects: _Effects, sample: Sequence[Number], p: Any, ns: Namespace
 ) -> tuple[State, Terms]:
     """Return the measurements and the observation; `before` is the state one control period earlier."""
-    x, y, psi, u, v, r = state
-    V_u, V_v = to_body(*current_at(state, sample, p, ns), ns.cos(psi), ns.sin(psi))
-    effects.noise = n_x, n_y, n_psi, n_u, n_v, n_r = effects("noise", tuple(sample[NOISE]), state, before)
-    u_m, v_m = effects("velocity", (u + V_u, v + V_v), state, before)
-    x_m, y_m = effects("position", (x + n_x, y + n_y), state, before)
-    measured: State = effects("measured", (x_m, y_m, psi + n_psi, u_m + n_u, v_m + n_v, r + n_r), state, before)
-    errors = tracking_errors(measured, tuple(sample[:6]), ns)
-    x_e, y_e, psi_e, u_e, v_e, r_e = effects("errors", errors, state, before)
-    _, _, _, u_R, v_R, r_R, F_uR, F_rR = sample[REFERENCE]
-    cos_psi, sin_psi = ns.cos(measured[2]), ns.sin(measured[2])
-    e_x, e_y = to_body(x_e, y_e, cos_psi, sin_psi)
-    a_u, a_r = effects.action
-    F_u_max, F_r_max = effects("limits", (p.F_u_max, p.F_r_max), measured, before)
-    return measured, (
-        e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
-        cos_psi, sin_psi, F_u_max, F_r_max, a_u, a_r, p.h * p.parts.substeps,
-    )  # fmt: skip
+    model = p.parts.model
+    names, reference = model.state, sample[model.reference]
+    true = dict(zip(names, model.over_ground(state, current_at(state, sample, p, ns), ns), strict=True))
+    errors = effects("noise", tuple(sample[model.noise_rows]), state, before)
+    effects.noise, noise = errors, dict(zip(names, errors, strict=True))
+    velocity = effects("velocity", tuple(true[name] for name in model.velocity), state, before)
+    position = effects("position", tuple(true[name] + noise[name] for name in model.position), state, before)
+    logged = true | dict(zip(model.velocity, velocity, strict=True))
+    seen = {name: logged[name] + noise[name] for name in names} | dict(zip(model.position, position, strict=True))
+    measured = effects("measured", tuple(seen[name] for name in names), state, before)
+    tracking = model.errors(measured, tuple(reference[: len(names)]), ns)
+    tracking = effects("errors", tracking, state, before)
+    limits = effects("limits", model.limits(p), measured, before)
+    return measured, model.terms(tracking, measured, reference, limits, effects.action, p.h * p.parts.substeps, ns)
 
 
-def measurement_errors(sample: Sequence[Number], p: Parameters, ns: Namespace) -> State:
-    """Return the errors of the measurements x, y, psi, u, v, r in a sample, with those of the effects."""
-    errors: State = _Effects(sample, p, ns)("noise", tuple(sample[NOISE]), (), ())
-    return errors
+def measurement_errors(sample: Sequence[Number], p: Any, ns: Namespace) -> Any:
+    """Return the errors of the measured state in a sample, with those of the effects."""
+    return _Effects(sample, p, ns)("noise", tuple(sample[p.parts.model.noise_rows]), (), ())
 
 
-def ground_state(plant: Plant, sample: Sequence[Number], p: Parameters, ns: Namespace) -> State:
-    """Return x, y, psi, u, v over ground and r, for a sample."""
-    x, y, psi, u, v, r, *_ = plant
-    V_u, V_v = to_body(*current_at(plant[:6], sample, p, ns), ns.cos(psi), ns.sin(psi))
-    return x, y, psi, u + V_u, v + V_v, r
+def ground_state(plant: Any, sample: Sequence[Number], p: Any, ns: Namespace) -> Any:
+    """Return the state with velocities over ground, for a sample."""
+    state = plant[: len(p.parts.model.state)]
+    return p.parts.model.over_ground(state, current_at(state, sample, p, ns), ns)

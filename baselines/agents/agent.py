@@ -205,7 +205,8 @@ def _checked_record(record: Any) -> dict[str, Any]:
 def _pair(value: Any) -> tuple[float, float]:
     if not isinstance(value, list):
         raise ValueError(f"authority is {value!r}; it must be a list of two numbers")
-    return checked_authority(value)
+    surge, yaw = checked_authority(value)
+    return surge, yaw
 
 
 def _weights(data: bytes) -> dict[str, NDArray[np.float32]]:

@@ -36,6 +36,7 @@ class Gru:
     hidden: int = 64
     decoder: int = 64
     bound: str = "tanh"  # one of `_BOUNDS`
+    outputs: int = OUTPUTS
 
     def __post_init__(self) -> None:
         _check_sizes(inputs=self.inputs, encoder=self.encoder, hidden=self.hidden, decoder=self.decoder)
@@ -56,7 +57,7 @@ class Gru:
             "gru.bias_ih": (3 * self.hidden,),
             "gru.bias_hh": (3 * self.hidden,),
             **_layer("decoder", self.hidden, self.decoder),
-            **_layer("head", self.decoder, OUTPUTS),
+            **_layer("head", self.decoder, self.outputs),
         }
 
     def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
@@ -73,7 +74,7 @@ class Gru:
         return encoder, of_inputs, of_hidden, decoder, head
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N).
+        """Return actions in [-1, 1], shape (outputs, N), and the hidden state (memory, N).
 
         Args:
             layers: result of `prepared`.
@@ -108,6 +109,7 @@ class Mlp:
     layers: tuple[int, ...] = (64, 64)
     activation: str = "tanh"  # one of `ACTIVATIONS`
     bound: str = "clip"  # one of `_BOUNDS`
+    outputs: int = OUTPUTS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -123,7 +125,7 @@ class Mlp:
     @property
     def shapes(self) -> Shapes:
         """Shapes of the weights, by name."""
-        sizes = (self.inputs, *self.layers, OUTPUTS)
+        sizes = (self.inputs, *self.layers, self.outputs)
         shapes: Shapes = {}
         for i, (a, b) in enumerate(itertools.pairwise(sizes)):
             shapes.update(_layer(f"layers.{i}", a, b))
@@ -134,7 +136,7 @@ class Mlp:
         return _columns(weights, [f"layers.{i}" for i in range(len(self.layers) + 1)], precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (OUTPUTS, N), and `hidden` unchanged, as `Gru.forward`."""
+        """Return actions in [-1, 1], shape (outputs, N), and `hidden` unchanged, as `Gru.forward`."""
         *inner, head = layers
         for layer in inner:
             x = ACTIVATIONS[self.activation](_linear(layer, x))
@@ -147,8 +149,9 @@ NETWORKS: dict[str, type[Gru] | type[Mlp]] = {cls.kind: cls for cls in (Gru, Mlp
 
 
 def network_record(network: Network) -> dict[str, Any]:
-    """Return the kind and the sizes of a network as plain values."""
-    return {"kind": network.kind, **{f.name: getattr(network, f.name) for f in fields(network)}}
+    """Return the kind and the sizes of a network as plain values, without the usual number of outputs."""
+    record = {"kind": network.kind, **{f.name: getattr(network, f.name) for f in fields(network)}}
+    return record if network.outputs != OUTPUTS else {k: v for k, v in record.items() if k != "outputs"}
 
 
 def network_of(record: Any) -> Network:

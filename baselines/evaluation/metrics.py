@@ -136,12 +136,12 @@ def settling_time(errors: Array, bound: float, dt: float) -> Array:
 
 
 def effort(actions: Array) -> float:
-    """Return mean_k (a_u,k^2 + a_r,k^2) / 2, the mean square of normalised commands of shape (n, ..., 2)."""
+    """Return the mean square of commands, shape (n, channels): mean_k (a_u,k^2 + a_r,k^2) / 2 in the plane."""
     return float(np.mean(np.square(actions)))
 
 
 def smoothness(actions: Array) -> float:
-    """Return mean_(k >= 2) |a_k - a_(k-1)|^2 / 2, the mean squared change of the command; 0 for a single step."""
+    """Return the mean squared change of a command, in the plane mean_(k >= 2) |a_k - a_(k-1)|^2 / 2; 0 for one step."""
     return float(np.mean(np.square(np.diff(actions, axis=0)))) if len(actions) > 1 else 0.0
 
 

@@ -57,7 +57,7 @@ class ControlStep(NamedTuple):
     """One control step of N episodes."""
 
     observation: Array  # before the step, shape (N, terms)
-    command: Array  # shape (N, 2), zero for episodes that have ended
+    command: Array  # shape (N, channels), zero for episodes that have ended
     reward: Array  # shape (N,)
     error: Array  # [m] distance to the reference after the step, shape (N,)
     running: NDArray[np.bool_]  # shape (N,), not ended before the step; the other entries of ended ones are meaningless
@@ -117,10 +117,11 @@ def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None =
         stopwatch: measures the policy's time.
 
     Raises:
-        PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
+        PolicyError: the policy's actions are not finite numbers, one for each vehicle and channel, or it is too slow.
     """
     (env, observation), stopwatch = begun, stopwatch or Stopwatch()
     privileged = policy if isinstance(policy, Privileged) else None
+    (channels,) = env.single_action_space.shape or ()
     memory, first, running = None, np.ones(env.num_envs, dtype=bool), np.ones(env.num_envs, dtype=bool)
     ended = ~running  # in the last step: the coming step begins the next episodes of these vehicles
     for k in range(steps):
@@ -132,7 +133,7 @@ def play(policy: Policy, begun: Begun, steps: int, stopwatch: Stopwatch | None =
             raise PolicyError("predict returned no pair; it must return (action, state), with None for no state")
         action, memory = returned
         stopwatch.count(env.num_envs, k)
-        command = _checked(action, running, k)
+        command = _checked(action, running, k, channels)
         following, reward, terminated, truncated, info = env.step(command)
         first, ended, failed = ended, terminated | truncated, running & terminated
         yield ControlStep(
@@ -205,7 +206,7 @@ def rollout(
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
     env, observation = beginning([(scenario, episodes)], preview_of(policy), simulator)
-    log = EpisodeLog(scenario.steps, len(episodes))
+    log = EpisodeLog(scenario.steps, len(episodes), len(scenario.parts.model.channels))
     log.rows.append(_row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, stopwatch)):
         log.add(k, moment)
@@ -224,9 +225,10 @@ def rollout(
 class EpisodeLog:
     """Log of K steps of N episodes, each until its own end."""
 
-    def __init__(self, steps: int, n: int) -> None:
+    def __init__(self, steps: int, n: int, channels: int) -> None:
         """Make an empty log."""
-        self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
+        self.errors, self._rewards = np.zeros((steps, n)), np.zeros((steps, n))
+        self._actions = np.zeros((steps, n, channels))
         self.rows: list[Array] = []  # of the traced episodes, see `_row`
         self.running, self._failed, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
@@ -262,18 +264,18 @@ class EpisodeLog:
         )
 
 
-def _checked(action: Any, running: NDArray[np.bool_], k: int) -> Array:
-    """Return the actions of step k as floats, shape (N, 2), zero for episodes that have ended.
+def _checked(action: Any, running: NDArray[np.bool_], k: int, channels: int) -> Array:
+    """Return the actions of step k as floats, shape (N, channels), zero for episodes that have ended.
 
     Raises:
         PolicyError: they have another shape or type, or are not finite.
     """
     n = len(running)
     array = np.asarray(action)
-    if array.dtype.kind not in "fiu" or array.shape != (n, 2):
+    if array.dtype.kind not in "fiu" or array.shape != (n, channels):
         raise PolicyError(
             f"step {k}: actions have shape {array.shape} and type {array.dtype}; "
-            f"for {n} observations they must be numbers of shape ({n}, 2)"
+            f"for {n} observations they must be numbers of shape ({n}, {channels})"
         )
     finite = np.isfinite(array).all(axis=1) | ~running
     if not finite.all():

@@ -24,7 +24,7 @@ from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS, Observation, decode, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.preview import preview_columns
-from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE_ROWS, Parameters, Parts, start
+from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE_ROWS, Parts, start
 from baselines.agents.agent import AGENT_FILE, Agent, make_expert
 from baselines.agents.names import AGENT_FOLDER, agent_folder, shipped_agents
 from baselines.agents.networks import OUTPUTS
@@ -157,7 +157,7 @@ def measurement_kernel(preview: tuple[int, ...], bound_factor: int) -> Kernel:
         sample, constants = [0.0] * SAMPLE_ROWS, [0.0] * PARAMETER_ROWS
         sample[: len(reference)] = reference
         constants[PARAMETERS.F_u_max], constants[PARAMETERS.F_r_max], constants[PARAMETERS.h] = setting
-        _, terms = start(tuple(measured), sample, Parameters.of(constants, Parts()), SYMBOLS)
+        _, terms = start(tuple(measured), sample, Parts().parameters(constants), SYMBOLS)
         rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS, bound_factor)
         o = Observation._make(decode(rows, SYMBOLS))
         return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS, bound_factor)]}

@@ -60,7 +60,7 @@ def _measure(vehicle: str, policy: str, quick: bool = False) -> dict[str, Any]:
     simulators = {PLANE: None, SPACE: bodies(lambda count: SixDofSimulator(vehicle, count), known)}
     rows: dict[str, dict[str, Any]] = {case: {} for case in _CASES}
     for place, simulator in simulators.items():
-        scenario, log = cells[0].scenario, EpisodeLog(cells[0].scenario.steps, n * len(cells))
+        scenario, log = cells[0].scenario, EpisodeLog(cells[0].scenario.steps, n * len(cells), 2)
         begun = beginning([(cell.scenario, cell.episodes) for cell in cells], preview_of(made), simulator=simulator)
         for k, moment in enumerate(play(made, begun, scenario.steps)):
             log.add(k, moment)

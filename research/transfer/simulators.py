@@ -18,9 +18,9 @@ from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.vehicles import vehicle_model
-from auv_gym.task.kernels import ACTIONS, OUTCOMES, MakeSimulator, Outcome, Side
+from auv_gym.task.kernels import OUTCOMES, MakeSimulator, Outcome, Side
 from auv_gym.task.observation import SIZE, encode
-from auv_gym.task.simulation import LOAD, Parameters, Parts, Plant, current_at, ordered, step
+from auv_gym.task.simulation import LOAD, Parameters, Parts, Plant, current_at, ordered, plant_row, step
 from research.transfer.otter import OTTER, Otter
 from research.transfer.remus100 import REMUS100, Remus100
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, ModelInputs
@@ -148,31 +148,32 @@ class SimulatorBodies:
         self, simulator: SixDofSimulator, known: Vehicle, parts: Parts, samples: Array, parameters: Array
     ) -> None:
         n = samples.shape[-1]
-        self.parts, self.action, self.outcome = parts, np.zeros((ACTIONS, n)), np.zeros((OUTCOMES, n))
+        self.parts, self.action, self.outcome = parts, np.zeros((len(parts.model.channels), n)), np.zeros((OUTCOMES, n))
         self.now = Side(np.zeros((parts.plant_rows, n)), np.zeros((SIZE, n)))
         self._known, self._samples, self._rows, self._simulator = known, samples, parameters, simulator
 
     @property
     def plant(self) -> Plant:
         """The present state of the plant: rows of shape (N,)."""
-        return Plant.of(tuple(self.now.plant))
+        plant: Plant = self.parts.plant(tuple(self.now.plant))
+        return plant
 
     def place(self, indices: Any, plant: Array, observation: Array) -> None:
         """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
         self.now.plant[:, indices], self.now.observation[:, indices] = plant, observation
-        true = Parameters.of(tuple(self._rows[:, indices]), self.parts).coefficients
+        true = self.parts.parameters(tuple(self._rows[:, indices])).coefficients
         self._simulator.place(indices, plant[:6], np.array(deviation(true, self._known.coefficients)))
 
     def step(self, row: int) -> None:
         """Advance by a control step with `action` and a row of the samples."""
-        p = Parameters.of(tuple(self._rows), self.parts)
+        p = self.parts.parameters(tuple(self._rows))
         with np.errstate(all="ignore"):  # vehicles that have failed may have NaN states
             plant, terms, (reward, failed, squared, saturated) = step(
                 self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
             )
             observation = encode(terms, ARRAYS, self.parts.bound_factor)
         self.outcome[:] = Outcome(reward, failed, np.sqrt(squared), saturated)
-        self.now = Side(np.stack(plant.rows), np.asarray(observation))
+        self.now = Side(np.stack(plant_row(plant)), np.asarray(observation))
 
     def undo(self) -> None:
         """Raise RuntimeError. Only an environment that cannot plan an episode undoes a step; `rollout` plans none."""

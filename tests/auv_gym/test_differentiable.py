@@ -14,8 +14,9 @@ from auv_gym.envs.differentiable import TENSORS, episodes, simulate
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.task.model import PLANE
 from auv_gym.task.observation import SCALES
-from auv_gym.task.simulation import PLANT_ROWS, SAMPLE_ROWS
+from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines.control.backstepping import GAINS, tracking_forces
 
 STORM = PRESETS["cruise-storm"]
@@ -73,7 +74,7 @@ def test_gradients_of_one_step_pass_gradcheck(scenario):
 def test_no_nan_gradients_at_zero_error():
     """All values are zero, where square roots and absolute values are not differentiable."""
     run = episodes([PRESETS["slow-calm"]] * 2, 1, seed=0)
-    state = torch.zeros(PLANT_ROWS, 2, dtype=torch.float64, requires_grad=True)
+    state = torch.zeros(PLANE.plant_rows, 2, dtype=torch.float64, requires_grad=True)
     action = torch.zeros(2, 2, dtype=torch.float64, requires_grad=True)
     sample = torch.zeros(SAMPLE_ROWS, 2, dtype=torch.float64)
     step = simulate(state, action, sample, run.parameters, run.parts)

@@ -45,7 +45,7 @@ def test_compiled_samples_equal_those_in_python(monkeypatch):
     envs, other = SubEnvironments([scenario] * 12), SubEnvironments([scenario] * 12)
     envs.reset(0, None)
     with monkeypatch.context() as patch:
-        patch.setattr(exogenous, "compiled", lambda **_: None)
+        patch.setattr(exogenous, "compiled", lambda *_, **__: None)
         other.reset(0, None)
         expected = np.empty((64, SAMPLE_ROWS, 12))
         other._exogenous.read_into(expected, other.all, other.all[::-1])

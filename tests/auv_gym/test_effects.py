@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pytest
 
-from auv_gym.effects import EFFECTS, PACKAGE, Effect, Interval, documented, effect
+from auv_gym.effects import EFFECTS, PACKAGE, Effect, Interval, effect
 from auv_gym.effects.base import _check_points, uniform_of
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -276,10 +276,3 @@ def test_wrong_numbers_and_names_are_refused():
     episode = MINE.draw(np.random.default_rng(0))
     with pytest.raises(ValueError, match="the episode has the effect 'dead_zone', but scenario"):
         STORM.parameters(episode)
-
-
-def test_a_description_has_the_points_and_the_fields():
-    text = documented(TowedBody)
-    assert "`[effects.towed_body]`: A towed body pulls astern" in text
-    assert "It acts on: load." in text
-    assert "| `drag` | kg/m | 0 to 10000 | quadratic drag |" in text

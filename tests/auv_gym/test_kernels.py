@@ -20,9 +20,8 @@ from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.simulation import (
     SAMPLE_ROWS,
-    Parameters,
     Parts,
-    Plant,
+    plant_row,
     step,
 )
 from baselines import make_policy
@@ -51,9 +50,9 @@ def test_a_step_equals_the_simulation_for_all_effects(effects):
         columns = (a[:, i].tolist() for a in (plant, action, sample, parameters))
         before, command, inputs, constants = columns
         after, terms, (reward, failed, squared, saturated) = step(
-            Plant.of(before), command, inputs, Parameters.of(constants, parts), FLOATS
+            parts.plant(before), command, inputs, parts.parameters(constants), FLOATS
         )
-        np.testing.assert_allclose(found["next_plant"][:, i], after.rows, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(found["next_plant"][:, i], plant_row(after), rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(
             found["next_seen"][:, i], encode(terms, FLOATS, bound_factor=1), rtol=1e-12, atol=1e-13
         )

@@ -99,7 +99,7 @@ EDITS = {
         ("auv_gym/physics/dynamics.py", "def rk4_step", "UNUSED = 3\n\n\ndef rk4_step"),
         ("baselines/control/los_pid.py", '"""Line-of-sight', '"""The line-of-sight'),
     ],
-    "equation": [("auv_gym/task/simulation.py", "e_x * e_x + e_y * e_y", "e_x * e_x + 2.0 * e_y * e_y")],
+    "equation": [("auv_gym/task/simulation.py", "_error = sum_of_squares(", "_error = 2.0 * sum_of_squares(")],
     "metrics": [("baselines/evaluation/metrics.py", "\nimport ", "\nA_CONSTANT = 3\nimport ")],
     "filter": [("baselines/estimation/kalman.py", "ODDS = 10.0", "ODDS = 11.0")],
 }

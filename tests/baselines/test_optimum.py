@@ -11,7 +11,7 @@ import research  # noqa: F401, it adds the sealed suites
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.scenarios.mixtures import slewing
 from auv_gym.scenarios.presets import CASES, PRESETS
-from auv_gym.task.simulation import Parameters, start, step
+from auv_gym.task.simulation import parameter_row, start, step
 from baselines import make_policy
 from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import EFFORT_WEIGHT, TRANSIENT_WEIGHT, Problem
@@ -68,8 +68,8 @@ def test_scipy_finds_no_better_commands(scenario, tolerance):
     episodes = drawn(scenario, 1, 3).episodes
     problem, trajectory = optimum(scenario, episodes)
     truth = Truth.of(scenario, episodes)
-    rows = [float(np.ravel(row)[0]) for row in truth.parameters.rows]
-    p, samples = Parameters.of(rows, scenario.parts), truth.samples[..., 0].tolist()
+    rows = [float(np.ravel(row)[0]) for row in parameter_row(truth.parameters)]
+    p, samples = scenario.parts.parameters(rows), truth.samples[..., 0].tolist()
     initial, _ = start(tuple(problem.begun[:6, 0].tolist()), samples[0], p, FLOATS)
     weight = problem.weight[:, 0, 0]
 

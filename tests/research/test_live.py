@@ -77,7 +77,7 @@ def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_ra
     path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
-    monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
+    monkeypatch.setattr(exogenous, "compiled", lambda *_, **__: None)
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same random numbers for both
     inputs = ExogenousInputs(1, LIVE_STEPS + 1, scenario.parts)
     inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))

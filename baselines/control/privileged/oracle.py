@@ -50,7 +50,7 @@ from auv_gym.planning.sideslip import (
 )
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import CURRENT, LOAD, start, step
+from auv_gym.task.simulation import CURRENT, LOAD, constants_of, start, step
 from baselines.control.linearisation import error_dynamics
 from baselines.control.privileged.truth import FullInformationPolicy, Truth, no_actions
 from baselines.estimation.water_frame import with_limited_braking
@@ -128,9 +128,10 @@ def regulator_actions(
     errors = np.stack((*to_body(x_e, y_e, np.cos(psi), np.sin(psi)), psi_e, *velocity_errors))
     mean, applied = feedforward + np.einsum("nij,jn->in", gains, errors), np.stack((F_u, F_r))
     command = applied + (mean - applied) / (p.response.gain * p.response.mean)
-    share = fin_share(then[3], np.asarray(p.constants(Fins).fin), p.F_r_max, ARRAYS)
+    share = fin_share(then[3], np.asarray(constants_of(p, Fins).fin), p.F_r_max, ARRAYS)
     torque = p.thrust_r * np.maximum(share, LEAST_SHARE)
-    limits, reach = np.stack((p.thrust_u, torque)), np.stack([np.broadcast_to(x, len(k)) for x in p.constants(Reach)])
+    limits = np.stack((p.thrust_u, torque))
+    reach = np.stack([np.broadcast_to(own.level, len(k)) for own in constants_of(p, Reach)])
     return np.asarray(np.clip(command / limits, -reach, reach))
 
 
@@ -205,7 +206,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate_paths([e.path for e in episodes], times)
     x, y = motion[0]
-    V += np.stack(truth.parameters.constants(Shear).velocity(x, y, ARRAYS), axis=1)
+    V += np.stack(constants_of(truth.parameters, Shear).velocity(x, y, ARRAYS), axis=1)
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)

@@ -30,7 +30,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import SAMPLE, Parameters, Parts, moved
+from auv_gym.task.simulation import SAMPLE, Parameters, Parts, constants_of, moved, parameter_row
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
@@ -71,9 +71,9 @@ class Problem:
         truth, n, steps = Truth.of(scenario, episodes), len(episodes), scenario.steps
         p, samples = truth.parameters, truth.samples
         begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
-        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in p.rows])
+        rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in parameter_row(p)])
         delay = np.broadcast_to(np.asarray(truth.delay), n).astype(np.int64)
-        reach = np.minimum(1.0, np.stack([np.broadcast_to(share, n) for share in p.constants(Reach)]))
+        reach = np.minimum(1.0, np.stack([np.broadcast_to(own.level, n) for own in constants_of(p, Reach)]))
         acts = np.arange(steps)[:, None] >= delay
         weight = np.full((steps, 1, n), TRANSIENT_WEIGHT / steps)
         weight[steps // STEADY_RMSE :] = 1.0 / (steps - steps // STEADY_RMSE)
@@ -185,7 +185,7 @@ class GaussNewtonStep(NamedTuple):
 def _next_state(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:
     """Return the `PLANT_STATES` components of the state one control period later."""
     x, y, psi, u, v, r, F_u, F_r = state
-    p, a = Parameters.of(parameters, parts), (command[0], command[1])
+    p, a = parts.parameters(parameters), (command[0], command[1])
     body, force = moved((x, y, psi, u, v, r), (F_u, F_r), a, sample, p, SYMBOLS)
     return [*body, *force]
 
@@ -233,7 +233,7 @@ def simulation_kernel(parts: Parts) -> Kernel:
         state: Any, cost: Any, command: Any, planned: Any, gains: Any, limits: Any, weight: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
         deviation, a = [x - c for x, c in zip(state, planned, strict=True)], []
-        for i, own in enumerate(_ranges(state, limits, Parameters.of(known["parameters"], parts))):
+        for i, own in enumerate(_ranges(state, limits, parts.parameters(known["parameters"]))):
             unlimited = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], deviation)
             a.append(SYMBOLS.clip(unlimited, own.low, own.high))
         after = _next_state(state, a, known["sample"], known["parameters"], parts)
@@ -264,7 +264,7 @@ def riccati_kernel(parts: Parts) -> Kernel:
         both, w = [*state, *command], 2 * weight[0]
         after = _next_state(state, command, known["sample"], known["parameters"], parts)
         columns = list(zip(*jacobian(after, both), strict=True))
-        ranges = _ranges(state, limits, Parameters.of(known["parameters"], parts))
+        ranges = _ranges(state, limits, parts.parameters(known["parameters"]))
         slopes = [own.slope(a, limit) for own, a, limit in zip(ranges, command, limits, strict=True)]
         for i, follows in enumerate(slopes):  # the free commands are the differences to bounds that move
             by_force, by_command = columns[FORCES + i], columns[PLANT_STATES + i]

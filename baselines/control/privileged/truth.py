@@ -18,7 +18,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import Parameters, Plant, step
+from auv_gym.task.simulation import Parameters, Plant, constants_of, parameter_row, step
 from baselines.policy import Memory
 
 BODY = 8  # number of the first entries of a `Plant`, state and actuators' forces
@@ -54,13 +54,13 @@ class Truth:
         """
         if own := [effect.name for effect in scenario.parts.effects if effect not in PACKAGE]:
             raise ValueError(f"full information does not include the effect {own[0]!r}: leave this policy out")
-        rows = np.array([scenario.parameters(episode).rows for episode in episodes]).T
-        return cls(Parameters.of(tuple(rows), scenario.parts), samples(scenario, episodes))
+        rows = np.array([parameter_row(scenario.parameters(episode)) for episode in episodes]).T
+        return cls(scenario.parts.parameters(tuple(rows)), samples(scenario, episodes))
 
     @property
     def delay(self) -> Any:
         """Control periods until a command acts, a number or shape (N,)."""
-        return self.parameters.constants(Delay).periods
+        return constants_of(self.parameters, Delay).periods
 
     def state_after_delay(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
         """Return state and forces when the next command begins to act, shape (8, N); without delay, those of now.
@@ -74,7 +74,7 @@ class Truth:
         zero, (last, second, third), places = np.zeros(len(k)), sent, self.parameters.parts.places
         memory = [zero] * places.sizes[1]  # states of sensors do not matter
         if (place := places.memory.get(Delay)) is not None:
-            memory[place] = *second, *third
+            memory[place] = [sent for channel in zip(second, third, strict=True) for sent in channel]
         plant = Plant._make((*state, *force, *last, tuple(memory)))
         after = np.stack(plant[:BODY])
         delay = np.broadcast_to(self.delay, len(k))

@@ -10,13 +10,12 @@ from functools import partial
 from typing import Any, NamedTuple, cast
 
 from auv_gym.effects.mismatch import CrossFlow
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Namespace, Number, sum_of_squares
 from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Coefficients, with_names
 from auv_gym.task import simulation
-from auv_gym.task.observation import Observation, action_of, decode, encode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
 from auv_gym.task.preview import preview_columns
-from auv_gym.task.simulation import Parameters, Parts, Plant
+from auv_gym.task.simulation import Parts
 from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
@@ -47,7 +46,7 @@ class Loss(NamedTuple):
         Args:
             squared_error: of the position [m^2].
             scale: of the error [m].
-            command: surge and yaw, in [-1, 1].
+            command: of each channel, in [-1, 1].
             previous: the previous command.
             dt: control period [s].
             ns: the namespace of the numbers.
@@ -56,9 +55,8 @@ class Loss(NamedTuple):
         near, far = ns.clip(e, 0.0, LINEAR_FROM), ns.clip(e, LINEAR_FROM, math.inf)
         slope = LINEAR_FROM * (1 + 2 * SQUARE_WEIGHT * LINEAR_FROM)
         error = near + SQUARE_WEIGHT * near * near + slope * ns.log(far / LINEAR_FROM)
-        d_u, d_r = ((now - before) / dt for now, before in zip(command, previous, strict=True))
-        a_u, a_r = command
-        return error + self.effort * (a_u * a_u + a_r * a_r) + self.rate * (d_u * d_u + d_r * d_r)
+        rates = ((now - before) / dt for now, before in zip(command, previous, strict=True))
+        return error + self.effort * sum_of_squares(command) + self.rate * sum_of_squares(rates)
 
 
 class Moved(NamedTuple):
@@ -84,11 +82,11 @@ class ClosedLoop:
 
     def expert(
         self, observation: _Rows, ns: Namespace, known: _Rows = PAPER_VEHICLE.coefficients
-    ) -> tuple[Number, Number]:
+    ) -> tuple[Number, ...]:
         """Return the law's action for an observation without its preview; `known` are the nominal models."""
-        o = decode(observation, ns)
+        o = self.parts.model.layout.decode(observation, ns)
         law = with_model(self.informed, with_names(known)) if self.informed else self.law
-        return action_of(law(o, ns), o, ns)
+        return self.parts.model.layout.action_of(law(o, ns), o, ns)
 
     def features(
         self,
@@ -111,7 +109,8 @@ class ClosedLoop:
             ns: the namespace of the numbers.
             known: the nominal models, `known_rows` of them.
         """
-        o = Observation._make(decode(observation, ns))
+        model = self.parts.model
+        o = model.Observation._make(model.layout.decode(observation, ns))
         preview = preview_columns(ahead, o, ns, self.parts.bound_factor)
         return self.inputs.update(o, preview, base, correction, integrals, ns, with_names(known))
 
@@ -138,13 +137,15 @@ class ClosedLoop:
             loss: of the step.
             ns: the namespace of the numbers.
         """
-        p, before = Parameters.of(parameters, self.parts), Plant.of(state)
+        p, before = self.parts.parameters(parameters), self.parts.plant(state)
         rule = zip(base, authority, correction, strict=True)
         command = [corrected(b, largest, c, ns) for b, largest, c in rule]
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
-        previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
+        model, dt = self.parts.model, self.parts.substeps * p.h
+        previous = before[model.forces.stop : -1]
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(plant.rows, tuple(encode(terms, ns, self.parts.bound_factor)), squared_error, step_loss)
+        rows = tuple(model.layout.encode(terms, ns, self.parts.bound_factor))
+        return Moved(simulation.plant_row(plant), rows, squared_error, step_loss)
 
 
 def known_rows(parts: Parts) -> int:

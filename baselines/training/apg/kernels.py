@@ -16,9 +16,8 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.task.observation import ERROR_TERMS, SIZE, Observation
+from auv_gym.task.model import Model
 from auv_gym.task.simulation import Parts
-from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved, known_rows
 
 _Symbols = Sequence[Symbol]
@@ -26,21 +25,16 @@ _Results = Mapping[str, _Symbols]
 
 
 class RunConstants(NamedTuple):
-    """Constants of a run. They are inputs of the kernels, so that all runs use the same compiled library."""
+    """Constants of a run, after the authority of each channel.
 
-    authority_u: Number
-    authority_r: Number
+    They are inputs of the kernels, so that all runs use the same compiled library.
+    """
+
     effort: Number  # see `Loss`
     rate: Number
     share: Number  # weight of a control step of a vehicle in the window's loss
 
 
-_SEEN = {"observation": SIZE, "correction": OUTPUTS}
-"""Inputs of the features with their numbers of rows, without memory, `ahead` and the expert's action."""
-_STEERED = (*Observation._fields[:ERROR_TERMS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
-STEERED = tuple(map(Observation._fields.index, _STEERED))
-"""Terms of an observation that depend on the vehicle's motion; only these have derivatives. The largest torque is
-included, since that of fins depends on the speed."""
 FIXED = frozenset(
     ("parameters", "chosen", "known", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
@@ -50,14 +44,26 @@ _PAPER = PAPER_VEHICLE.coefficients
 
 def moved_rows(parts: Parts) -> dict[str, int]:
     """Return the inputs of a control step with their numbers of rows."""
+    channels = len(parts.model.channels)
     return {
         "state": parts.plant_rows,
-        "base": OUTPUTS,
-        "correction": OUTPUTS,
+        "base": channels,
+        "correction": channels,
         "sample": parts.sample_rows,
         "parameters": parts.parameter_rows,
-        "chosen": len(RunConstants._fields),
+        "chosen": channels + len(RunConstants._fields),
     }
+
+
+def steered(model: Model) -> list[int]:
+    """Return the terms of an observation that depend on the vehicle's motion; only these have derivatives.
+
+    They are all but reference, surge limit and control period. The largest torque is included, since that of fins
+    depends on the speed.
+    """
+    names = [term.name for term in model.layout.terms]
+    others = [name for name in names if name.endswith("R")] + ["F_u_max", "dt"]
+    return [i for i, name in enumerate(names) if name not in others]
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class LoopKernels:
             action, features, following = self._observed(**arrays)
             return {"features": features, "following": following, **({} if "base" in arrays else {"base": action})}
 
-        return self._traced(equation, self.seen if self.exact else self.seen | {"base": OUTPUTS})
+        return self._traced(equation, self.seen if self.exact else self.seen | {"base": self._channels})
 
     @cached_property
     def observe_adjoint(self) -> Kernel:
@@ -90,28 +96,28 @@ class LoopKernels:
 
         def equation(d_features: _Symbols, d_base: _Symbols, d_integrals: _Symbols, **arrays: _Symbols) -> _Results:
             _, features, following = self._observed(**arrays)
-            observation = arrays["observation"]
-            steered = [observation[i] for i in STEERED]
-            within = (*steered, *arrays["correction"], *arrays["integrals"], *arrays["base"])
+            observation, places = arrays["observation"], steered(self.loop.parts.model)
+            moving = [observation[i] for i in places]
+            within = (*moving, *arrays["correction"], *arrays["integrals"], *arrays["base"])
             shares = _split(
                 gradient((*features, *following), (*d_features, *d_integrals), within),
-                len(steered), OUTPUTS, self.loop.inputs.memory, OUTPUTS,
+                len(moving), self._channels, self.loop.inputs.memory, self._channels,
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS, arrays.get("known", _PAPER))
-            through_law = gradient(action, _sum(d_base, shares[3]), steered)
-            terms: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through_law), strict=True))
+            through_law = gradient(action, _sum(d_base, shares[3]), moving)
+            terms: dict[int, Any] = dict(zip(places, _sum(shares[0], through_law), strict=True))
             return {
-                "d_observation": [terms.get(i, 0.0) for i in range(SIZE)],
+                "d_observation": [terms.get(i, 0.0) for i in range(len(observation))],
                 "d_correction": shares[1],
                 "d_integrals": shares[2],
             }
 
         after = {
             "d_features": len(self.loop.inputs.features),
-            "d_base": OUTPUTS,
+            "d_base": self._channels,
             "d_integrals": self.loop.inputs.memory,
         }
-        return self._traced(equation, self.seen | {"base": OUTPUTS} | after)
+        return self._traced(equation, self.seen | {"base": self._channels} | after)
 
     @cached_property
     def move(self) -> Kernel:
@@ -135,22 +141,28 @@ class LoopKernels:
             d_state: _Symbols, d_observation: _Symbols, d_correction: _Symbols, **arrays: _Symbols
         ) -> _Results:
             moved = self._moved(**arrays)
-            share = RunConstants._make(arrays["chosen"]).share
+            share = RunConstants._make(arrays["chosen"][self._channels :]).share
             within = (*arrays["state"], *arrays["base"], *arrays["correction"])
             shares = gradient((*moved.state, *moved.observation, moved.loss), (*d_state, *d_observation, share), within)
-            state, base, correction = _split(shares, len(arrays["state"]), OUTPUTS, OUTPUTS)
+            state, base, correction = _split(shares, len(arrays["state"]), self._channels, self._channels)
             return {"d_state": state, "d_base": base, "d_correction": _sum(d_correction, correction)}
 
         rows = moved_rows(self.loop.parts)
-        after = {"d_state": rows["state"], "d_observation": SIZE, "d_correction": OUTPUTS}
+        size = self.loop.parts.model.layout.size
+        after = {"d_state": rows["state"], "d_observation": size, "d_correction": self._channels}
         return self._traced(equation, rows | after)
+
+    @property
+    def _channels(self) -> int:
+        return len(self.loop.parts.model.channels)
 
     @property
     def seen(self) -> dict[str, int]:
         """Inputs of the features with their numbers of rows; `known` if the network has the nominal models."""
         inputs = self.loop.inputs
         known = {"known": known_rows(self.loop.parts)} if inputs.nominal_vehicle else {}
-        return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
+        rows = {"observation": self.loop.parts.model.layout.size, "correction": self._channels}
+        return rows | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
 
     def _observed(
         self,
@@ -174,9 +186,9 @@ class LoopKernels:
         parameters: _Symbols,
         chosen: _Symbols,
     ) -> Moved:
-        authority_u, authority_r, effort, rate, _ = chosen
-        authority, loss = (authority_u, authority_r), Loss(effort, rate)
-        return self.loop.move(state, base, correction, sample, parameters, authority, loss, SYMBOLS)
+        of_run = RunConstants._make(chosen[self._channels :])
+        loss = Loss(of_run.effort, of_run.rate)
+        return self.loop.move(state, base, correction, sample, parameters, chosen[: self._channels], loss, SYMBOLS)
 
     def _traced(self, equation: Equation, rows: Mapping[str, int]) -> Kernel:
         arrays = {*rows, "features", "following", "next_state", "observation", "squared_error", "base"}

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from auv_gym.codegen.derivatives import gradient
 from auv_gym.codegen.graph import Symbol
 from auv_gym.codegen.kernel import Kernel
-from baselines.agents.networks import OUTPUTS, Gru, Mlp
+from baselines.agents.networks import Gru, Mlp
 
 _tanh_back = torch.ops.aten.tanh_backward.grad_input  # (d_y, y, grad_input=d_x) of y = tanh(x)
 LONGEST_MEMORY = 200.0
@@ -39,7 +39,7 @@ class TorchGru(nn.Module):
         self.encoder = nn.Linear(sizes.inputs, sizes.encoder)
         self.gru = nn.GRUCell(sizes.encoder, sizes.hidden)
         self.decoder = nn.Linear(sizes.hidden, sizes.decoder)
-        self.head = nn.Linear(sizes.decoder, OUTPUTS)
+        self.head = nn.Linear(sizes.decoder, sizes.outputs)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
         # Time constants of 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
@@ -54,7 +54,7 @@ class TorchMlp(nn.Module):
     def __init__(self, sizes: Mlp) -> None:
         super().__init__()
         self.sizes = sizes
-        wide = (sizes.inputs, *sizes.layers, OUTPUTS)
+        wide = (sizes.inputs, *sizes.layers, sizes.outputs)
         layers = [nn.Linear(a, b) for a, b in itertools.pairwise(wide)]
         nn.init.zeros_(layers[-1].weight)
         nn.init.zeros_(layers[-1].bias)

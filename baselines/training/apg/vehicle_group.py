@@ -16,7 +16,6 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import shared_preview, with_preview
 from auv_gym.task.simulation import Parts
-from baselines.agents.networks import OUTPUTS
 from baselines.control.backstepping import Backstepping
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, known_rows, law_of
@@ -112,7 +111,8 @@ class VehicleGroup:
         self._left = window * (1 + np.arange(n) % windows)  # control steps of the running episodes
         self.begins = np.ones(n, dtype=bool)
         episodes = self.sub_envs.reset(seed, None)
-        zeros = (np.zeros((rows, n)) for rows in (inputs.memory, OUTPUTS, self._settings.network.memory))
+        network = self._settings.network
+        zeros = (np.zeros((rows, n)) for rows in (inputs.memory, network.outputs, network.memory))
         self.carried = Carried(episodes.plant, episodes.observation, *zeros)
 
     def state(self) -> dict[str, Any]:

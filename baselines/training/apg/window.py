@@ -11,9 +11,6 @@ import torch
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
-from auv_gym.task.observation import SIZE
-from auv_gym.task.simulation import PARAMETERS, PLANT
-from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import LoopKernels, RunConstants, moved_rows
 from baselines.training.apg.network import NetworkArrays, TorchGru, TorchMlp, pass_of
@@ -25,7 +22,6 @@ Act = Callable[[int, AnyArray], AnyArray]
 SMALLEST = 0.002
 """Added to mean errors, in units of their scale, in `divided_by_error`; it bounds the weights of small errors."""
 _LARGEST = 1000.0  # upper bound of mean errors in these weights
-_SHARE = RunConstants._fields.index("share")
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 """Derivatives that the backward pass carries from one control instant to the previous one."""
 
@@ -78,25 +74,26 @@ class TrainingWindow:
         self._exact, self._type = kernels.exact, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory, n = len(inputs.features), network.sizes.memory, len(objective.shares)
-        moved = moved_rows(kernels.loop.parts)
+        moved, self._model = moved_rows(kernels.loop.parts), kernels.loop.parts.model
+        outputs, size = moved["correction"], self._model.layout.size
         self._carried = Carried(
-            *(self._zeros(steps + 1, rows, n) for rows in (moved["state"], SIZE, inputs.memory, OUTPUTS, memory))
+            *(self._zeros(steps + 1, rows, n) for rows in (moved["state"], size, inputs.memory, outputs, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
-            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), moved["sample"], features, OUTPUTS, 1)
+            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), moved["sample"], features, outputs, 1)
         )
         self._parameters = self._zeros(moved["parameters"], n)
-        chosen = (*authority, *objective.loss, objective.shares / steps)  # a `RunConstants`
+        chosen = (*authority, *RunConstants(*objective.loss, objective.shares / steps))
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
         self._known = {name: self._zeros(rows, n) for name, rows in kernels.seen.items() if name == "known"}
         self._d = {
             name: self._zeros(rows, n)
             for name, rows in (
                 ("d_state", moved["state"]),
-                ("d_observation", SIZE),
+                ("d_observation", size),
                 ("d_integrals", inputs.memory),
-                ("d_base", OUTPUTS),
-                ("d_correction", OUTPUTS),
+                ("d_base", outputs),
+                ("d_correction", outputs),
                 ("d_features", features),
             )
         }
@@ -168,7 +165,7 @@ class TrainingWindow:
         with torch.no_grad():
             self._forward(act)
             if exponent := self.objective.error_exponent:
-                self._chosen[_SHARE] = divided_by_error(self.objective.shares, self._errors(), exponent) / self.steps
+                self._chosen[-1] = divided_by_error(self.objective.shares, self._errors(), exponent) / self.steps
             self._backward()
         with np.errstate(all="ignore"):  # errors of diverged vehicles may overflow
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
@@ -209,12 +206,13 @@ class TrainingWindow:
         """Return each vehicle's mean position error in the window, in units of its scale."""
         with np.errstate(all="ignore"):
             mean = np.sqrt(self._squared[:, 0], dtype=np.float64).mean(axis=0)
-        return np.asarray(mean / self._parameters[PARAMETERS.error_scale])
+        return np.asarray(mean / self._parameters[self._model.parameters.error_scale])
 
     def _mean_loss(self) -> float:
-        a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
-        dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
-        of = self.objective.loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
+        first, places = self._model.forces.stop, self._model.parameters
+        actions = self._carried.state[:, first : self._model.plant_rows].swapaxes(0, 1)
+        dt, scale = self._substeps * self._parameters[places.h], self._parameters[places.error_scale]
+        of = self.objective.loss.of(self._squared[:, 0], scale, [*actions[:, 1:]], [*actions[:, :-1]], dt, ARRAYS)
         return float(np.mean(of @ self.objective.shares.astype(of.dtype), dtype=np.float64))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.effects.base import Measured
 from auv_gym.physics.rows import flatten
 from auv_gym.planning.paths import PATHS, Path
 from auv_gym.scenarios.episode import Episode
@@ -19,17 +20,17 @@ from auv_gym.scenarios.exogenous import (
     NORMALS,
     WAVE_ROWS,
     WEATHER,
-    Errors,
     least_speed,
     wave_components,
     weather_of,
 )
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.kernels import OUTCOMES, STATES
+from auv_gym.task.kernels import OUTCOMES
+from auv_gym.task.model import PLANE
 from auv_gym.task.observation import SIZE
 from auv_gym.task.preview import Preview
-from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS, SAMPLE, SAMPLE_ROWS
+from auv_gym.task.simulation import PARAMETERS, PLANT, SAMPLE, SAMPLE_ROWS
 from baselines.control.ekf_law import EKF_GAINS, EKF_LAW_GAINS
 from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
 from baselines.estimation.sea_model import PLACE
@@ -64,11 +65,11 @@ def data(agents: Mapping[str, Exported]) -> str:
     record = {
         "steps": LIVE_STEPS,
         "sizes": {
-            "plant": PLANT_ROWS,
+            "plant": PLANE.plant_rows,
             "seen": SIZE,
             "sample": SAMPLE_ROWS,
             "outcome": OUTCOMES,
-            "state": STATES,
+            "state": len(PLANE.state),
             "gust": GUST_ROWS,
             "normals": NORMALS,
             "waveRows": WAVE_ROWS,
@@ -135,8 +136,8 @@ def _path(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
     storm, current = PRESETS[f"{speed_range}-storm"], episode_of(speed_range, "storm", path, 0).current
-    noise = Errors(*storm.sensors.noise)
-    weather = weather_of(current, storm.control_dt, least_speed([table]), noise, Errors(*[0.0] * 6))
+    noise = Measured(*storm.sensors.noise)
+    weather = weather_of(current, storm.control_dt, least_speed([table]), noise, Measured(*[0.0] * 6))
     return {
         "table": _encoded(table, np.float64),
         "beyond": _encoded(table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0], np.float64),
