@@ -92,7 +92,7 @@ def quick(line):
                 at = words.index(option)
                 assert option != "--suite" or words[at + 1] in (SUITES if "auv-gym" in line else (*SUITES, *OF_A_CLONE))
                 del words[at : at + 2]
-        scenario = [] if "--scenario" in words else ["--scenario", "cruise-calm"]
+        scenario = [] if {"--scenario", "--mission"} & {*words} else ["--scenario", "cruise-calm"]
         return [*words, *scenario, "--episodes", "1", "--jobs", "1"]
     return words
 
@@ -259,7 +259,7 @@ def folder(tmp_path_factory):
     for page in PAGES:
         for language, text in FENCE.findall(page.read_text(encoding="utf-8")):
             name = text.split("\n", 1)[0].removeprefix("# ")
-            if re.fullmatch(r"\w+\.(py|toml)", name) and language in ("python", "toml"):
+            if re.fullmatch(r"\w+\.(py|toml|csv)", name) and language in ("python", "toml", "csv"):
                 (folder / name).write_text(text, encoding="utf-8")
     trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
     for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():

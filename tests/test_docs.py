@@ -70,7 +70,7 @@ def registries():
     ids=name_of,
 )
 def test_python_runs_and_prints_the_shown_output(page, tmp_path, monkeypatch, capsys):
-    """The blocks of a page run in order in one namespace; a `toml` block is a file, named in its first line.
+    """The blocks of a page run in order in one namespace; a `toml` or `csv` block is a file, named in its first line.
 
     A `text` block after a Python block is its output; functions called `test_...` are run as tests.
     """
@@ -80,7 +80,7 @@ def test_python_runs_and_prints_the_shown_output(page, tmp_path, monkeypatch, ca
     monkeypatch.setitem(sys.modules, "page", module)  # where dataclasses look for their module
     page_text, found, outputs = page.read_text(encoding="utf-8"), blocks(page), []
     for block, following in zip(found, [*found[1:], None], strict=True):
-        if block.language == "toml":
+        if block.language in ("toml", "csv"):
             (tmp_path / block.text.split("\n", 1)[0].removeprefix("# ")).write_text(block.text, encoding="utf-8")
         if block.language != "python":
             continue

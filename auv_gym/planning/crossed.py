@@ -26,6 +26,7 @@ from auv_gym.planning.sideslip import RATES, PathRates
 _ITERATIONS = 6  # of Newton's method; the balance is quadratic in r where v and r keep their signs
 _LARGEST_SINE = 0.9  # of the first sideslip
 _TOLERANCE = 1e-9  # largest residual of the balance, as a share of the accelerations in it
+_NEGLIGIBLE = 1e-15  # [m/s^2] residual that is always allowed: on a long straight line all accelerations vanish
 
 
 def _missing(along: PathRates, w: Symbol, r: Symbol, acting: Sequence[Symbol]) -> tuple[Symbol, Symbol]:
@@ -142,7 +143,7 @@ def _motion(size: int) -> Kernel:
         by_time = cosine * gamma_dot, path.v_p_dot, path.omega_dot, path.v_p_ddot
         directions = {symbol.index: d for symbol, d in zip(changes, by_time, strict=True)}
         r_dot = -directional([missing], {**directions, r.index: 0.0})[0] / slope
-        there = (slope < 0) & (abs(missing) <= _TOLERANCE * magnitude)
+        there = (slope < 0) & (abs(missing) <= _TOLERANCE * magnitude + _NEGLIGIBLE)
         u, v, gamma = path.v_p * cosine, path.v_p * w[0], SYMBOLS.arcsin(w[0])  # (7), (8)
         u_dot, psi = path.v_p_dot * cosine - v * gamma_dot, path.beta - gamma  # (12), (10)
         _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), vehicle, SYMBOLS)

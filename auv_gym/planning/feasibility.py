@@ -73,9 +73,10 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
 
     The limit is that of linear drag and lift. A vehicle with cross terms has no such limit: its sideslip is checked.
     """
-    valid = moving(v_p)
-    valid[1:] &= gradual(np.diff(beta), ARRAYS)
-    check_feasible(valid, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
+    check_feasible(moving(v_p), lambda k: f"the path stops, v_p = {v_p[k]:.3g} m/s", times, positions)
+    turns = np.diff(beta, prepend=beta[:1])
+    sharp = "the path turns by more than 90 degrees within one sample: it reverses, or its points are noisy"
+    check_feasible(gradual(turns, ARRAYS), lambda _: sharp, times, positions)
     if vehicle.has_cross_terms:
         return
     rate, limit = braking(v_p, v_p_dot, vehicle)

@@ -8,8 +8,10 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, cast
 
+from auv_gym.planning.paths import Path
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.report.columns import line, record
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import Entry, Result, compare, pool
@@ -41,6 +43,8 @@ def evaluate(request: Request) -> int:
             "results.csv": results_csv(results),
             "report.html": report_html(request, results, pooled),
         }
+        if request.options.mission is not None:
+            texts["reference.csv"] = reference_csv(request.cells[0].scenario)
         for name, text in texts.items():
             write_atomically(out / name, text)
         content = tuple(replace(run, tracks=(), bands=None) for run in done)
@@ -95,6 +99,13 @@ def results_json(request: Request, results: Sequence[Result], pooled: Sequence[E
         "pooled": [{"policy": entry.policy, "speed_range": entry.place, **record(entry)} for entry in pooled],
     }
     return json_text(content)
+
+
+def reference_csv(scenario: Scenario) -> str:
+    """Return the reference of a fixed path as a table: t [s], x, y [m], psi [rad], u, v [m/s], r [rad/s], F_u, F_r."""
+    table = scenario.planner.table(cast(Path, scenario.path)).tolist()
+    rows = (",".join(f"{x:.9g}" for x in (k * scenario.control_dt, *row)) for k, row in enumerate(table))
+    return "\n".join(("t,x,y,psi,u,v,r,F_u,F_r", *rows, ""))
 
 
 def results_csv(results: Sequence[Result]) -> str:

@@ -26,6 +26,16 @@ class Options:
     policies. Or "presets": all presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios instead of a suite: names of presets, or .toml and .json files."""
+    mission: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """A mission instead of a suite: waypoints in a .csv, .geojson, .plan or .waypoints file, see docs/missions.md."""
+    vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
+    """Vehicle of the mission: a published one by name, or a .toml file. Default: the paper's."""
+    speed: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """Speed of the mission in m/s, where its file has none. Default: the design speed of the vehicle."""
+    radius: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """Least radius of the corners of the mission in m. Default: that of the vehicle's turn rate."""
+    current: Annotated[tuple[float, float], arg(metavar="V_X V_Y", help_behavior_hint="")] = (0.0, 0.0)
+    """Current of the mission in m/s, to the east and to the north."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
     """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None

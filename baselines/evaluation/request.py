@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution, load_effects
@@ -57,7 +58,7 @@ class Request:
         _check(options)
         import_effects(options.effects)
         names = checked_policies((EXPERT, *options.policy))
-        suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
+        suite = options.suite if options.scenario or options.mission else options.suite or DEFAULT_SUITE
         frozen = suite in list_suites()
         cells, digest, recorded = _frozen(suite or "", options) if frozen else _drawn(suite, options)
         earlier = tuple(run for run in recorded.runs if run.policy not in names)
@@ -85,8 +86,13 @@ class Request:
 
 def _check(options: Options) -> None:
     """Raise UsageError if a number is out of range, or if two options exclude each other."""
-    if options.suite is not None and options.scenario:
-        raise UsageError("--suite and --scenario exclude each other; give one of them")
+    given = [name for name in ("suite", "scenario", "mission") if getattr(options, name)]
+    if len(given) > 1:
+        raise UsageError(f"--{given[0]} and --{given[1]} exclude each other; give one of them")
+    names, usual = ("vehicle", "speed", "radius", "current"), Options()
+    of_mission = [name for name in names if getattr(options, name) != getattr(usual, name)]
+    if of_mission and options.mission is None:
+        raise UsageError(f"--{of_mission[0]} is for a mission; a scenario file has its own")
     for name, least, most in (("episodes", 1, _MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
@@ -117,6 +123,10 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     if suite is not None and suite not in DRAWN_SUITES:
         raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN_SUITES, *list_suites()))}")
     scenarios: dict[str, Scenario] = {}
+    if options.mission is not None:
+        scenario = checked(partial(_mission, options))
+        cell = checked(partial(drawn, scenario, options.episodes or 1, options.seed))
+        return (cell,), cell.hash, RecordedRuns((), ())
     for scenario in map(checked_scenario, options.scenario or DRAWN_SUITES[suite or ""]):
         if scenarios.setdefault(scenario.name, scenario) != scenario:
             raise UsageError(f"two different scenarios are called {scenario.name!r}; rename one of them")
@@ -124,6 +134,12 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios.values())
     digest = hashlib.sha256(" ".join(cell.hash for cell in cells).encode()).hexdigest()
     return cells, digest, RecordedRuns((), ())
+
+
+def _mission(options: Options) -> Scenario:
+    assert options.mission is not None
+    mission = read_mission(options.mission)
+    return mission_scenario(mission, options.vehicle, options.speed, options.radius, options.current)
 
 
 def import_effects(files: Iterable[Path]) -> None:

@@ -12,10 +12,11 @@ from matrix_form import matrix_form
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.crossed import motion
 from auv_gym.planning.feasibility import InfeasibleReferenceError
-from auv_gym.planning.paths import Circle
+from auv_gym.planning.paths import Circle, Legs
 from auv_gym.planning.planner import plan
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import vehicle_model
 
 CROSSED = replace(
     PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0, X_vr=10.0, Y_rv=60.0, Y_vr=20.0, Y_rr=10.0, N_vv=15.0, N_vr=80.0
@@ -50,3 +51,11 @@ def test_an_episode_of_a_vehicle_with_cross_flow_needs_a_scenario_that_has_one()
     with pytest.raises(ValueError, match="the episode has a vehicle with cross terms"):
         PRESETS["cruise-calm"].parameters(episode)
     assert Scenario.from_dict(replace(PRESETS["cruise-calm"], vehicle=CROSSED).to_dict()).vehicle == CROSSED
+
+
+def test_a_long_straight_leg_after_a_turn_is_feasible():
+    """All accelerations vanish there; a tolerance that is relative to them would refuse the plan after minutes."""
+    vehicle = vehicle_model("lauv").vehicle
+    path = Legs(((0, 0), (50, 0), (50, 700)), vehicle.speed, 20.0)
+    table = plan(path, vehicle, np.arange(0.0, path.end, 0.2)).table
+    np.testing.assert_allclose(table[-1, 2:6], (np.pi / 2, vehicle.speed, 0.0, 0.0), atol=1e-9)

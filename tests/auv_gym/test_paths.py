@@ -4,6 +4,7 @@ import json
 import math
 import random
 import re
+import warnings
 from dataclasses import asdict, replace
 
 import mpmath as mp
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import (
     PAPER_CIRCLE,
     PATHS,
@@ -19,14 +21,18 @@ from auv_gym.planning.paths import (
     Ellipse,
     FigureEight,
     Lawnmower,
+    Legs,
     Line,
     Path,
     RandomSmooth,
     Sine,
     Spline,
+    WaypointWarning,
     evaluate_paths,
+    from_geographic,
     stack,
 )
+from auv_gym.planning.planner import plan
 
 POSE = {"x0": 3.0, "y0": -2.0, "heading": 0.7}
 RANDOM = RandomSmooth(1.1, (0.05, -0.03, 0.02), (0.04, 0.09, 0.13), (0.3, 2.0, 5.0), 0.2, 0.07, 1.0, **POSE)
@@ -254,7 +260,9 @@ def test_spline_through_points_of_a_circle_is_a_circle():
 def test_spline_time_law_holds_for_random_waypoints(steps):
     points = tuple((float(x), y) for x, (_, y, _) in zip(np.cumsum([dx for dx, _, _ in steps]), steps, strict=True))
     try:
-        path = Spline(points, 1.0, tuple(v for _, _, v in steps))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WaypointWarning)
+            path = Spline(points, 1.0, tuple(v for _, _, v in steps))
     except ValueError as refused:  # with uneven legs the interpolated speed may become negative
         if "the speed must stay positive" in str(refused):
             reject()
@@ -262,6 +270,111 @@ def test_spline_time_law_holds_for_random_waypoints(steps):
     position, velocity, *_ = path.derivatives(path.arrivals)
     np.testing.assert_allclose(position.T, points, atol=1e-10)
     np.testing.assert_allclose(np.hypot(*velocity), path.speeds, rtol=1e-10)
+
+
+# Missions
+
+LAWN = (0, 0), (60, 0), (60, 12), (0, 12), (0, 24), (60, 24), (60, 36), (0, 36)
+MISSIONS = [
+    Legs(LAWN, 1.0, 3.0),
+    Legs(LAWN, 1.0, 3.0, speeds=(1.0, 0.5, 1.2, 0.6, 1.0, 1.0, 0.7)),
+    Legs(LAWN[:4], 0.8, 3.0, closed=True),
+    Legs(((0, 0), (20, 5), (30, 25), (10, 40)), 0.8, 4.0, speeds=(0.8, 0.6, 0.9, 0.7), closed=True),
+    Legs(((0, 0), (40, 0), (80, 0)), 1.0, 5.0, speeds=(0.5, 1.0)),
+]
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=str)
+def test_missions_are_three_times_differentiable(path):
+    """Compared with differences, also across the ends of corners."""
+    t, h = np.linspace(1.0, path.end - 1.0, 3001), 1e-4
+    given, before, after = (path.derivatives(times) for times in (t, t - h, t + h))
+    for n in range(3):
+        atol = 1e-8 if n < 2 else 1e-5  # the third derivative is continuous, and its slope is not
+        np.testing.assert_allclose((after[n] - before[n]) / (2 * h), given[n + 1], atol=atol)
+    assert np.hypot(*path.derivatives(np.linspace(0, path.end, 999))[1]).min() > 0.45
+
+
+@pytest.mark.parametrize("path", MISSIONS[:4], ids=str)
+def test_missions_keep_to_their_legs_and_corners_to_their_radius(path):
+    d = path.derivatives(np.linspace(0.0, path.end, 20_001))
+    points = np.array(path.waypoints)
+    ends = np.roll(points, -1, axis=0) if path.closed else points[1:]
+    begins = points if path.closed else points[:-1]
+    along = ends - begins
+    share = np.clip(((d[0].T[:, None] - begins) * along).sum(-1) / (along**2).sum(-1), 0, 1)
+    beside = np.hypot(*np.moveaxis(d[0].T[:, None] - begins - share[..., None] * along, -1, 0)).min(axis=1)
+    curvature = (d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]) / np.hypot(*d[1]) ** 3
+    assert beside[np.abs(curvature) < 1e-9].max() < 1e-9
+    assert beside.max() < path.radius
+    assert 1 / np.abs(curvature).max() == pytest.approx(path.radius, rel=1e-5)
+    np.testing.assert_allclose(path.derivatives(np.array([0.0, path.end]))[0, :, 1], d[0, :, -1])
+    if path.closed:
+        np.testing.assert_allclose(d[:, :, 0], d[:, :, -1], atol=1e-9)
+    else:
+        np.testing.assert_allclose((d[0, :, 0], d[0, :, -1]), (points[0], points[-1]), atol=1e-9)
+    assert len(path.arrivals) == len(points)
+
+
+def test_a_lawnmower_of_legs_can_be_planned_and_is_shorter_than_its_spline():
+    legs, table = MISSIONS[0], plan(MISSIONS[0], PAPER_VEHICLE, 0.1 * np.arange(int(10 * MISSIONS[0].end))).table
+    assert np.isfinite(table).all()
+    with pytest.warns(WaypointWarning, match=r"the curve is 32\d.* m long, the polygon of its waypoints 276 m; `Legs`"):
+        spline = Spline(LAWN, 1.0)
+    assert legs.end < 276 < spline.end
+
+
+@pytest.mark.parametrize("offset", [(5e5, 6.58e6), (-1e7, 3e7)])
+@pytest.mark.parametrize("family", [lambda points: Legs(points, 1.0, 2.0), lambda points: Spline(points, 1.0)])
+def test_paths_do_not_depend_on_the_origin(family, offset):
+    """As with UTM, whose northings are millions of metres."""
+    near, far = family(WAYPOINTS), family(tuple((x + offset[0], y + offset[1]) for x, y in WAYPOINTS))
+    t = np.linspace(0, near.end, 301)
+    assert far.end == pytest.approx(near.end, rel=1e-8)
+    np.testing.assert_allclose(
+        far.derivatives(t * far.end / near.end)[0].T - offset, near.derivatives(t)[0].T, atol=1e-6
+    )
+
+
+def test_doubled_and_near_waypoints_are_left_out_with_a_word():
+    points = (0, 0), (0.0, 1e-9), (10, 0), (10.05, 0), (20, 5)
+    for family, rest in ((Spline, ()), (Legs, (2.0, (0.5, 0.6, 0.7, 0.8)))):
+        with pytest.warns(WaypointWarning, match=r"waypoints 1, 3 are nearer than 0\.1 m to the one before; left out"):
+            path = family(points, 1.0, *rest)
+        assert path.waypoints == ((0, 0), (10, 0), (20, 5))
+    assert path.speeds == (0.5, 0.7)
+    with pytest.warns(WaypointWarning, match="waypoints 3 are nearer"):
+        assert len(Legs(((0, 0), (9, 0), (5, 9), (0, 0)), 1.0, 0.5, closed=True).waypoints) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((((0, 0), (10, 0), (0, 0)), 1.0, 1.0), "Legs: the path turns back at waypoint 1; a vehicle that cannot turn"),
+        ((LAWN, 1.0, 5.0), r"the corners at waypoints 1 and 2 need 17.33 m .* has 12 m; a radius of 3.462 m would fit"),
+        ((LAWN, 1.0, 0.0), "Legs: radius must be finite and positive, got 0.0"),
+        ((LAWN, 1.0, 3.0, (1.0, 2.0)), r"Legs: speeds must be none or one for each of 7 legs, got \(1.0, 2.0\)"),
+        ((LAWN[:3], 1.0, 3.0, (1.0, -2.0)), "Legs: speeds must be finite and positive, got -2.0 on leg 1"),
+    ],
+)
+def test_wrong_missions_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Legs(*arguments)
+
+
+def test_geographic_coordinates_become_metres():
+    """Compared with the radii of curvature of WGS 84 at 59.9 degrees, and with the way there and back."""
+    phi, e_2 = math.radians(59.9), 0.00669437999014
+    meridian = 6378137.0 * (1 - e_2) / (1 - e_2 * math.sin(phi) ** 2) ** 1.5
+    parallel = 6378137.0 / math.sqrt(1 - e_2 * math.sin(phi) ** 2) * math.cos(phi)
+    step = math.radians(1e-3)
+    xy = from_geographic([59.9, 59.901, 59.9], [10.7, 10.7, 10.701])
+    np.testing.assert_allclose(xy, [[0, 0], [0, meridian * step], [parallel * step, 0]], rtol=1e-5, atol=1e-3)
+    shifted = from_geographic([59.9], [10.701], origin=(59.9, 10.7))
+    np.testing.assert_allclose(shifted, xy[2:], atol=1e-9)
+    for wrong, message in (([91.0], "latitude of point 0 is 91.0"), ([math.nan], "latitude of point 0 is nan")):
+        with pytest.raises(ValueError, match=message):
+            from_geographic(wrong, [0.0])
 
 
 # Stacking
@@ -356,8 +469,8 @@ def test_wrong_fields_are_refused(path):
         ((((0, 0), (1,)), 1.0), r"waypoints must be 2 or more pairs"),
         (("here", 1.0), r"waypoints must be 2 or more pairs \(x, y\), got 'here'"),
         ((((0, 0), (1, math.nan)), 1.0), r"waypoints must be finite, got \[1\.0, nan\] at waypoint 1"),
-        ((((0, 0), (1, 2), (1, 2)), 1.0), r"successive waypoints must differ, got \[1\.0, 2\.0\] at waypoints 1 and 2"),
-        ((((0, 0), (1, 2), (2, 0), (0, 0)), 1.0, (), True), r"must differ, got \[0\.0, 0\.0\] at waypoints 3 and 0"),
+        ((((0, 0), (0, 0)), 1.0), r"the waypoints are at most 0 m apart: they are one point"),
+        ((((59.9, 10.7), (59.9001, 10.7003)), 1.0), r"at most 0\.0003 m apart: are these degrees\? `from_geographic`"),
         ((WAYPOINTS, 0.0), r"Spline: speed must be finite and positive, got 0\.0"),
         ((WAYPOINTS, (1.0, 2.0)), r"Spline: speed must be finite and positive, got \(1\.0, 2\.0\)"),
         ((WAYPOINTS, 1.0, (1.0, 2.0)), r"speeds must be none or one for each of 7 waypoints, got \(1\.0, 2\.0\)"),

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import warnings
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from auv_gym.planning.paths import (
     RandomSmooth,
     Sine,
     Spline,
+    WaypointWarning,
     stack,
 )
 from auv_gym.planning.planner import Planner, Reference, plan
@@ -301,7 +303,7 @@ class Clothoid:
 @pytest.mark.parametrize(
     ("path", "end", "condition", "time"),
     [
-        (Braking(), 15, "the speed passes through zero", 10.0),
+        (Braking(), 15, "the path stops, v_p = ", 10.0),
         (Braking(), 9, "braking -v_p'/v_p", 10 - 265 / 100),
         (Clothoid(), 9, "the sideslip exceeds 80 degrees", 2 * math.tan(MAX_SIDESLIP) / 2.15),
     ],
@@ -316,8 +318,18 @@ def test_infeasible_references_are_refused_with_time_and_place(path, end, condit
 
 def test_a_reversal_of_direction_is_refused():
     flat = replace(PATHS["ellipse"], semi_x=5.0, semi_y=1e-9)
-    with pytest.raises(InfeasibleReferenceError, match="speed passes through zero"):
+    with pytest.raises(InfeasibleReferenceError, match="the path stops, v_p = "):
         plan(flat, PAPER_VEHICLE, 0.1 * np.arange(600))
+
+
+def test_a_noisy_track_is_refused_with_the_true_reason():
+    """Points 1 m apart with half a metre of noise, as a recorded track has them."""
+    track = np.stack((np.arange(60.0), np.zeros(60)), axis=1) + np.random.default_rng(0).normal(0, 0.5, (60, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", WaypointWarning)
+        path = Spline(tuple(map(tuple, track.tolist())), 0.8)
+    with pytest.raises(InfeasibleReferenceError, match=r"more than 90 degrees within one sample: .* points are noisy"):
+        plan(path, PAPER_VEHICLE, np.arange(0, path.end, 0.5))
 
 
 @pytest.mark.parametrize(("name", "unit"), [("F_u", "N"), ("F_r", "N m")])

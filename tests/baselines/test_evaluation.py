@@ -437,3 +437,24 @@ def test_no_torch_is_imported():
         "sys.exit(not {'torch', 'pygame', 'matplotlib'}.isdisjoint(sys.modules))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=SCRIPT.parent, check=True)
+
+
+def test_a_mission_is_evaluated_and_leaves_its_reference(call, capsys):
+    Path("square.csv").write_text("x,y,speed\n0,0,0.8\n40,0,0.6\n40,30,0.8\n0,30,1\n", encoding="utf-8")
+    words = "--mission", "square.csv", "--radius", "4", "--current", "0.1", "0.05", "--policy", "ilos", "--jobs", "1"
+    assert call(*words, "--out", "out") == 0
+    rows = [*csv.DictReader(Path("out/reference.csv").read_text(encoding="utf-8").splitlines())]
+    assert list(rows[0]) == ["t", "x", "y", "psi", "u", "v", "r", "F_u", "F_r"]
+    assert [float(rows[0][name]) for name in "xyu"] == pytest.approx([0.0, 0.0, 0.8])
+    assert float(rows[-1]["y"]) == pytest.approx(30.0, abs=1e-6)
+    results = json.loads(Path("out/results.json").read_text(encoding="utf-8"))["results"]
+    assert {row["episodes"] for row in results} == {1}
+    for wrong, message in (
+        (("--mission", "square.csv", "--suite", "presets"), "--suite and --mission exclude each other"),
+        (("--vehicle", "lauv"), "--vehicle is for a mission; a scenario file has its own"),
+        (("--mission", "no.csv"), "cannot read no.csv: No such file or directory"),
+        (("--mission", "square.csv", "--radius", "40"), "a radius of"),
+    ):
+        capsys.readouterr()
+        assert call(*wrong) == 2
+        assert message in capsys.readouterr().err

@@ -1,6 +1,6 @@
 """Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
 
-All families except `Spline` are subclasses of `Family`. Their fields may be arrays of shape (N,), see
+All families except `Spline` and `Legs` are subclasses of `Family`. Their fields may be arrays of shape (N,), see
 `stack`; with times of shape (T, 1) such a path represents N paths. Angles are counter-clockwise from the x axis.
 Positive turn rates are counter-clockwise.
 
@@ -18,8 +18,10 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import Family, Path
 from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
+from auv_gym.planning.paths.legs import Legs
 from auv_gym.planning.paths.spline import Spline
 from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth
+from auv_gym.planning.paths.waypoints import WaypointWarning, from_geographic
 
 __all__ = [
     "PAPER_CIRCLE",
@@ -29,12 +31,15 @@ __all__ = [
     "Family",
     "FigureEight",
     "Lawnmower",
+    "Legs",
     "Line",
     "Path",
     "RandomSmooth",
     "Sine",
     "Spline",
+    "WaypointWarning",
     "evaluate_paths",
+    "from_geographic",
     "stack",
     "unstack",
 ]
@@ -48,6 +53,7 @@ PATHS: dict[str, type] = {
     "lawnmower": Lawnmower,
     "random_smooth": RandomSmooth,
     "spline": Spline,
+    "legs": Legs,
 }
 """The families by their names in scenarios."""
 

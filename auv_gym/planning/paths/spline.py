@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +13,7 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
+from auv_gym.planning.paths.waypoints import WaypointWarning, checked_waypoints
 
 _ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 
@@ -33,11 +35,11 @@ class Spline:
     start: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
-        points = _points(self.waypoints, self.closed)
-        _validate_speeds(self.speed, self.speeds, len(points))
-        object.__setattr__(self, "waypoints", tuple((float(x), float(y)) for x, y in points))
-        object.__setattr__(self, "speeds", tuple(float(speed) for speed in self.speeds))
-        _ = self._law  # raises ValueError for an impossible path
+        points, kept = checked_waypoints("Spline", self.waypoints, self.closed)
+        _validate_speeds(self.speed, self.speeds, len(self.waypoints))
+        object.__setattr__(self, "waypoints", tuple(map(tuple, points.tolist())))
+        object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in kept) if self.speeds else ())
+        self._law.check_length()  # raises ValueError for an impossible path
 
     @property
     def end(self) -> float:
@@ -64,6 +66,7 @@ class Spline:
             raise ValueError(f"Spline: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
         q = self._law.chord(t)
         p, p1, p2, p3 = (np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4))  # by q
+        p = p + np.array(self.waypoints[0]).reshape(2, *(1,) * t.ndim)
         V, V1, V2 = (self._law.pace(q, nu) for nu in range(3))
         g = np.hypot(*p1)
         g1 = (p1 * p2).sum(axis=0) / g
@@ -79,7 +82,7 @@ class Spline:
 class _TimeLaw:
     """The curve p(q) and the speed V(q) of a `Spline`, and a table of t(q) = int |p_q| / V dq."""
 
-    curve: Any  # scipy BSpline, chord length [m] -> (x, y) [m]
+    curve: Any  # scipy BSpline, chord length [m] -> (x, y) [m] from the first waypoint
     pace: Any  # scipy CubicSpline, chord length [m] -> speed [m/s]
     q: Array  # [m]
     t: Array  # [s]
@@ -94,7 +97,10 @@ class _TimeLaw:
         """
         from scipy.interpolate import CubicSpline, make_interp_spline
 
-        points, speeds = np.array(path.waypoints), np.array(path.speeds or (path.speed,) * len(path.waypoints))
+        points, speeds = (
+            np.subtract(path.waypoints, path.waypoints[0]),
+            np.array(path.speeds or (path.speed,) * len(path.waypoints)),
+        )
         if path.closed:
             points, speeds = np.vstack((points, points[:1])), np.append(speeds, speeds[0])
         chords = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
@@ -120,6 +126,15 @@ class _TimeLaw:
             "round the reversal with further waypoints"
         )
 
+    def check_length(self) -> None:
+        """Warn if the curve is more than a tenth longer than the polygon of the waypoints."""
+        length = float(_travel_time(self.curve, np.ones_like, self.q[:-1], self.q[1:]).sum())
+        if length > 1.1 * self.q[-1]:
+            warnings.warn(
+                f"Spline: the curve is {length:.4g} m long, the polygon of its waypoints {self.q[-1]:.4g} m; "
+                "`Legs` keeps to straight legs", WaypointWarning, stacklevel=4,
+            )  # fmt: skip
+
     def chord(self, t: Array) -> Array:
         """Return q(t) [m] by Newton's method on t(q), from a cubic Hermite interpolant of the table."""
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
@@ -144,29 +159,6 @@ def _travel_time(curve: Any, pace: Any, a: Array, b: Array) -> Array:
     p1 = curve(nodes, 1)
     times: Array = (b - a) * ((np.hypot(p1[..., 0], p1[..., 1]) / pace(nodes)) @ _WEIGHTS)
     return times
-
-
-def _points(waypoints: Any, closed: bool) -> Array:
-    """Return the waypoints as an array (n, 2); raise ValueError if they are invalid."""
-    try:
-        points = np.asarray(waypoints, dtype=np.float64)
-    except (OverflowError, TypeError, ValueError):
-        points = np.empty(0)
-    least = 3 if closed else 2
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < least:
-        raise ValueError(f"Spline: waypoints must be {least} or more pairs (x, y), got {waypoints!r}")
-    if not np.isfinite(points).all():
-        bad = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise ValueError(f"Spline: waypoints must be finite, got {points[bad].tolist()} at waypoint {bad}")
-    following = np.roll(points, -1, axis=0) if closed else points[1:]
-    repeated = (following == points[: len(following)]).all(axis=1)
-    if repeated.any():
-        bad = int(repeated.argmax())
-        raise ValueError(
-            f"Spline: successive waypoints must differ, got {points[bad].tolist()} "
-            f"at waypoints {bad} and {(bad + 1) % len(points)}"
-        )
-    return points
 
 
 def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:

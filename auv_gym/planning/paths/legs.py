@@ -1,0 +1,202 @@
+"""A mission: straight legs between waypoints, with rounded corners."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from auv_gym.physics.namespaces import Array, Indices
+from auv_gym.planning.paths.base import is_number
+from auv_gym.planning.paths.waypoints import checked_waypoints
+
+_ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
+_NODES, _WEIGHTS = 0.5 * leggauss(24)[0] + 0.5, 0.5 * leggauss(24)[1]  # Gauss-Legendre on [0, 1]
+_PEAK = 15 / 8  # largest slope of the step S
+_STRAIGHT = 1e-9  # turn at a waypoint [rad] below which it is none
+
+
+class _Segments(NamedTuple):
+    """The straight parts and the corners of the path, in their order; arrays of shape (K,), or (K, 2)."""
+
+    length: Array  # [m]
+    begin: Array  # x, y [m] where it begins
+    course: Array  # [rad] at its begin
+    turn: Array  # [rad] change of the course, 0 on a straight part
+    V: Array  # [m/s] speed at its begin
+    gain: Array  # [m/s] change of the speed
+
+
+@dataclass(frozen=True)
+class Legs:
+    """Straight legs between waypoints at constant speeds, with rounded corners, from t = 0 to t = `end`.
+
+    In a corner the course changes by the angle between the legs times S(z) = z^3 (10 - 15 z + 6 z^2), with z the share
+    of its arc length, and the speed from that of one leg to that of the next by the same law. So course and speed are
+    twice continuously differentiable. The radius of curvature in the middle of a corner is `radius`. A closed path
+    begins behind the corner at the first waypoint.
+    """
+
+    waypoints: tuple[tuple[float, float], ...]  # [m] (x, y), two or more, three or more if closed
+    speed: float  # [m/s] nominal speed, that of each leg if there are no `speeds`
+    radius: float  # [m] least radius of curvature in corners
+    speeds: tuple[float, ...] = ()  # [m/s] one for each leg
+    closed: bool = False  # whether the path returns to the first waypoint, which is not repeated
+
+    start: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        points, kept = checked_waypoints("Legs", self.waypoints, self.closed)
+        for name in ("speed", "radius"):
+            if not is_number(getattr(self, name), "positive"):
+                raise ValueError(f"Legs: {name} must be finite and positive, got {getattr(self, name)!r}")
+        legs = len(self.waypoints) - (0 if self.closed else 1)
+        if not isinstance(self.speeds, Sequence) or len(self.speeds) not in (0, legs):
+            raise ValueError(f"Legs: speeds must be none or one for each of {legs} legs, got {self.speeds!r}")
+        for k, value in enumerate(self.speeds):
+            if not is_number(value, "positive"):
+                raise ValueError(f"Legs: speeds must be finite and positive, got {value!r} on leg {k}")
+        ends = kept if self.closed else kept[:-1]
+        object.__setattr__(self, "waypoints", tuple(map(tuple, points.tolist())))
+        object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in ends) if self.speeds else ())
+        _ = self._segments  # raises ValueError for corners that do not fit
+
+    @property
+    def end(self) -> float:
+        """Duration [s]."""
+        return float(self._times[-1])
+
+    @property
+    def arrivals(self) -> Array:
+        """Times at the waypoints [s]: at the ends of an open path, and in the middle of each corner."""
+        corners = np.flatnonzero(self._is_corner)
+        middle = self._times[corners] + np.array([self._time_in(k, 0.5) for k in corners.tolist()])
+        return middle if self.closed else np.concatenate(([0.0], middle, [self.end]))
+
+    @cached_property
+    def _origin(self) -> Array:
+        """The first waypoint [m]; positions are computed from there, since coordinates can be millions of metres."""
+        return np.array(self.waypoints[0])
+
+    @cached_property
+    def _is_corner(self) -> Any:
+        count = len(self._segments.length)
+        return np.arange(count) % 2 == 1
+
+    @cached_property
+    def _segments(self) -> _Segments:
+        points = np.array(self.waypoints) - self._origin
+        if self.closed:
+            points = np.vstack((points, points[:2]))
+        steps = np.diff(points, axis=0)
+        courses, lengths = np.arctan2(steps[:, 1], steps[:, 0]), np.hypot(*steps.T)
+        turns = np.remainder(np.diff(courses) + math.pi, 2 * math.pi) - math.pi
+        speeds = np.array(self.speeds or [self.speed] * (len(courses) - (1 if self.closed else 0)))
+        if self.closed:
+            speeds = np.append(speeds, speeds[0])
+        gains = np.diff(speeds)
+        arcs = np.maximum(_PEAK * np.abs(turns) * self.radius, np.where(gains == 0, 0.0, self.radius))
+        cuts = _cuts(turns, arcs)
+        self._check(turns, cuts, lengths)
+        before = np.concatenate((cuts[-1:] if self.closed else [0.0], cuts[: len(lengths) - 1]))
+        after = np.append(cuts, 0.0)
+        straight = lengths - before - after
+        if self.closed:  # the last leg is the first one again
+            straight, count = straight[:-1], len(turns)
+        else:
+            count = len(turns)
+        rows: list[tuple[float, ...]] = []
+        unit = np.stack((np.cos(courses), np.sin(courses)), axis=1)
+        for k, length in enumerate(straight.tolist()):
+            x, y = points[k] + before[k] * unit[k]
+            rows.append((length, x, y, courses[k], 0.0, speeds[k], 0.0))
+            if k < count:
+                x, y = points[k + 1] - cuts[k] * unit[k]
+                rows.append((arcs[k], x, y, courses[k], turns[k], speeds[k], gains[k]))
+        table = np.array(rows)
+        return _Segments(table[:, 0], table[:, 1:3], *table[:, 3:].T)
+
+    def _check(self, turns: Array, cuts: Array, lengths: Array) -> None:
+        """Raise ValueError if a corner does not fit on its legs."""
+        n = len(self.waypoints)
+        for k, turn in enumerate(turns.tolist()):
+            if abs(turn) > math.pi - 1e-3:
+                raise ValueError(
+                    f"Legs: the path turns back at waypoint {(k + 1) % n}; a vehicle that cannot turn on the spot "
+                    "needs two corners there"
+                )
+        both = np.append(cuts, 0.0) + np.concatenate((cuts[-1:] if self.closed else [0.0], cuts[: len(lengths) - 1]))
+        short = both - lengths
+        if (short > 1e-9 * lengths).any():
+            k = int(np.argmax(short / lengths))
+            most = self.radius * lengths[k] / both[k]
+            raise ValueError(
+                f"Legs: the corners at waypoints {k % n} and {(k + 1) % n} need {both[k]:.4g} m of the leg between "
+                f"them, which has {lengths[k]:.4g} m; a radius of {most:.4g} m would fit"
+            )
+
+    @cached_property
+    def _times(self) -> Array:
+        """Times at the begins of the segments, and at the end [s]."""
+        spent = [self._time_in(k, 1.0) for k in range(len(self._segments.length))]
+        return np.concatenate(([0.0], np.cumsum(spent)))
+
+    def _time_in(self, k: int, share: float) -> float:
+        """Return the time that a share of the length of a segment takes [s]."""
+        s = self._segments
+        return float(_travel_time(s.length[k], s.V[k], s.gain[k], np.array(share)))
+
+    def derivatives(self, t: Array) -> Array:
+        """See `Path.derivatives`.
+
+        Raises:
+            ValueError: a time is outside 0 ... `end`.
+        """
+        t = np.asarray(t, dtype=np.float64)
+        if not np.all((t >= -_ROUNDING) & (t <= self.end + _ROUNDING)):
+            raise ValueError(f"Legs: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+        k: Indices = np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, len(self._times) - 2)
+        length, begin, course, turn, V_0, gain = (column[k] for column in self._segments)
+        since, some = t - self._times[k], np.where(length > 0, length, 1.0)
+        z = since * V_0 / some
+        for _ in range(4):  # Newton's method; exact at once where the speed is constant
+            late = _travel_time(length, V_0, gain, z) - since
+            z = np.clip(z - late * (V_0 + gain * _step(z)) / some, 0.0, 1.0)
+        S, S1, S2 = _step(z), 30 * (z * (1 - z)) ** 2 / some, 60 * z * (1 - z) * (1 - 2 * z) / some**2
+        inside = course[..., None] + turn[..., None] * _step(z[..., None] * _NODES)
+        way = (length * z)[..., None] * _WEIGHTS
+        x, y = (way * np.cos(inside)).sum(axis=-1), (way * np.sin(inside)).sum(axis=-1)
+        beta, kappa, kappa_1 = course + turn * S, turn * S1, turn * S2
+        V, V_1, V_2 = V_0 + gain * S, gain * S1, gain * S2
+        a, jerk = V * V_1, V * (V_1 * V_1 + V * V_2)
+        c, s = np.cos(beta), np.sin(beta)
+        local = (
+            (V, 0.0 * V),
+            (a, kappa * V * V),
+            (jerk - kappa * kappa * V**3, 3 * kappa * V * a + kappa_1 * V**3),
+        )
+        rates = [np.stack((along * c - across * s, along * s + across * c)) for along, across in local]
+        position = np.moveaxis(begin, -1, 0) + np.stack((x, y)) + self._origin.reshape(2, *(1,) * t.ndim)
+        return np.stack((position, *rates))
+
+
+def _step(z: Any) -> Any:
+    """Return S(z) = z^3 (10 - 15 z + 6 z^2)."""
+    return z**3 * (10 - 15 * z + 6 * z * z)
+
+
+def _travel_time(length: Any, V: Any, gain: Any, z: Any) -> Any:
+    """Return the time [s] for a share z of a segment's length, whose speed changes from V by gain S(z)."""
+    inside = V[..., None] + gain[..., None] * _step(z[..., None] * _NODES)
+    return length * z * (_WEIGHTS / inside).sum(axis=-1)
+
+
+def _cuts(turns: Array, arcs: Array) -> Array:
+    """Return the distance [m] from each waypoint to begin and end of its corner."""
+    angles = turns[:, None] * _step(_NODES)
+    return np.asarray(arcs * (_WEIGHTS * np.cos(angles)).sum(axis=1) / np.maximum(1 + np.cos(turns), 1e-12))
