@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.policy import Policy
@@ -58,10 +59,10 @@ def make_policy(
     if parts.kind != "controller":
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
-        known = ", ".join(list_policies())
+        known = list_policies()
         raise ValueError(
-            f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, an "
-            "agent's folder or cmd:COMMAND"
+            f"unknown policy {name!r}{meant(name, known)}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
+            "a FILE.zip, a FILE.onnx, an agent's folder or cmd:COMMAND"
         )
     if POLICIES[name].privileged:
         return make_controller(name, vehicle, **options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,18 +52,22 @@ class RandomMismatch:
         size = len(vehicle.all_coefficients)
         if wrong := [len(row) for row in self.vehicles if len(row) != size]:
             raise ValueError(f"mismatch vehicles has a row of {wrong[0]} numbers; for this vehicle it must have {size}")
-        lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
         for row in self._rows(vehicle):
-            m11, m22, *_ = row
-            least = MIN_MASS_RATIO * (1 + 1e-9) * m11 / m22
-            if lowest < least:
+            if _ends(self.ratio)[0] < (least := self._least_ratio(row)):
                 raise ValueError(
-                    f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least "
-                    f"{least:.4g}"
+                    f"mismatch ratio may fall to {_ends(self.ratio)[0]:g}; for m22 > {MIN_MASS_RATIO} m11 it must be "
+                    f"at least {least:.4g}, since the vehicle has m22/m11 = {row[1] / row[0]:.4g}"
                 )
             for end in (0, 1):
                 true = self._true(row, [_ends(interval)[end] for interval in self._intervals])
                 Vehicle(**dict(zip(PARAMETER_NAMES, true, strict=False)))
+
+    def cut(self, vehicle: Vehicle) -> RandomMismatch:
+        """Return the distribution with m22/m11 cut to what a vehicle allows, for a vehicle that is hardly slender."""
+        if _ends(self.ratio)[0] >= (least := max(map(self._least_ratio, self._rows(vehicle)))):
+            return self
+        low, high = (max(end, least) for end in _ends(self.ratio))
+        return replace(self, ratio=(low, high) if low < high else low)
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
@@ -91,6 +95,11 @@ class RandomMismatch:
     def _rows(self, vehicle: Vehicle) -> Sequence[Sequence[float]]:
         """Return the parameters of the ensemble, or of the nominal vehicle."""
         return self.vehicles or (vehicle.all_coefficients,)
+
+    def _least_ratio(self, row: Sequence[float]) -> float:
+        """Return the least factor on m22/m11 with which the parameters are those of a `Vehicle`."""
+        m11, m22, Y_ur = row[0], row[1], row[10]
+        return MIN_MASS_RATIO * (1 + 1e-9) * max(m11, m11 - Y_ur / _ends(self.mass)[0]) / m22
 
     def _true(self, row: Sequence[Number], factors: Iterable[Number]) -> tuple[Number, ...]:
         """Return the parameters of a vehicle with factors applied: floats or rows, as `Vehicle.all_coefficients`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +23,7 @@ from auv_gym.rendering import PICTURE, Renderer, View, checked_size
 from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import Vehicles
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds, with_preview
@@ -163,8 +165,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         """Set by `gym.make`."""
-        if spec is not None and spec.max_episode_steps is None:
-            spec = replace(spec, max_episode_steps=self._steps)
+        if spec is not None:
+            if spec.max_episode_steps is None:
+                spec = replace(spec, max_episode_steps=self._steps)
+            if isinstance(given := spec.kwargs.get("scenario"), Scenario):
+                with suppress(ValueError):  # a path or an effect of the user has no record
+                    if Scenario.from_dict(record := given.to_dict()) == given:
+                        spec.kwargs["scenario"] = record  # so that `EnvSpec.to_json` keeps all of it
         self._spec = spec
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:

@@ -96,8 +96,9 @@ SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossTerms._fields[:-1])
 """Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
-LARGEST_PARAMETER = 1e11
-"""Largest parameter of a vehicle, in its SI unit."""
+LARGEST_PARAMETER = 1e16
+"""Largest parameter of a vehicle, in its SI unit: a loaded tanker of 400 m has m33 of about 1e13 kg m^2."""
+_LINEARISE = "; drag that is purely quadratic can be linearised at a speed v that matters: d22 = Y_vv v, Y_vv = 0"
 MIN_MASS_RATIO = 1.01
 """Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
 
@@ -166,14 +167,18 @@ class Vehicle:
                     f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST_PARAMETER:g}"
                 )
             if name[0] in "md" and name in Coefficients._fields and value <= 0:
-                raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
+                raise ValueError(
+                    f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive"
+                    + _LINEARISE * (name[0] == "d")
+                )
             if value < 0 and name not in SIGNED_PARAMETERS:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
         if self.m22 < (1 - 1e-12) * MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):  # in any units
             raise ValueError(
                 f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg; with Y_ur = {self.Y_ur!r} kg it must be at "
                 f"least {MIN_MASS_RATIO} m11 and {MIN_MASS_RATIO} (m11 - Y_ur). A slender vehicle has more added mass "
-                "in sway than in surge, and only then the plan is stable"
+                "in sway than in surge, and only then the plan is stable. Simulators that leave added mass out, "
+                "such as Gazebo by default, give m11 = m22: add it, for a slender hull about 0.9 times the mass in sway"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
         if self.has_cross_terms:

@@ -34,7 +34,8 @@ def changed(
     """Return a scenario with another known vehicle or control period.
 
     A vehicle model or a vehicle file also changes actuators, speeds and times, see `adapted`; a `Vehicle` or a dict of
-    its parameters changes nothing else. Another control period does not change the duration.
+    its parameters changes nothing of them. Another control period does not change the duration. The substeps are raised
+    to what the integration needs, and the mismatch of m22/m11 is cut to what the vehicle allows.
 
     Args:
         scenario: the original.
@@ -42,16 +43,25 @@ def changed(
         control_dt: control period [s]; None for that of the scenario.
 
     Raises:
-        ValueError: the vehicle is unknown, or the period is not a number or longer than the episode.
+        ValueError: the vehicle is unknown, the period is not a number or longer than the episode, or no integration
+            step is short enough.
     """
     if (vehicle_model := as_vehicle_model(vehicle)) is not None:
         scenario = replace(adapted(vehicle_model, scenario), name=f"{scenario.name}@{vehicle_model.name}")
     elif vehicle is not None:
-        scenario = replace(scenario, vehicle=as_vehicle(vehicle))
+        known = as_vehicle(vehicle)
+        scenario = _integrable(scenario, vehicle=known, mismatch=scenario.mismatch and scenario.mismatch.cut(known))
     if control_dt is not None:
         check_number("control_dt", control_dt, 1e-3, min(10.0, scenario.duration))
-        scenario = replace(scenario, control_dt=float(control_dt), steps=round(scenario.duration / control_dt))
+        steps = round(scenario.duration / control_dt)
+        scenario = _integrable(scenario, control_dt=float(control_dt), steps=steps)
     return scenario
+
+
+def _integrable(scenario: Scenario, **changes: Any) -> Scenario:
+    """Return a scenario with changes, and with the substeps that they need, at most `MOST_SUBSTEPS`."""
+    most = replace(scenario, substeps=max(scenario.substeps, MOST_SUBSTEPS), **changes)
+    return replace(most, substeps=max(scenario.substeps, most.least_substeps))
 
 
 def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
@@ -77,33 +87,31 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     if waves is not None:  # the same ratio of forces to drag, including quadratic drag and lift
         surge, sway, yaw = waves.surge * drag[0] / v.d11, waves.sway * drag[1] / v.d22, waves.yaw * drag[2] / v.d33
         changes["waves"] = replace(waves, surge=surge, sway=sway, yaw=yaw / units.length)  # of d33 U / (1 m)
-    fitted = replace(
+    return _integrable(
         scenario,
         vehicle=v,
         model=vehicle_model,
         control_dt=float(f"{scenario.control_dt * units.time:.2g}"),
         error_scale=scenario.error_scale * units.length,
         lost_distance=scenario.lost_distance * units.length,
-        substeps=max(scenario.substeps, MOST_SUBSTEPS),
-        mismatch=_adapted_mismatch(scenario.mismatch, drag, units),
+        mismatch=_adapted_mismatch(scenario.mismatch, drag, units, v),
         actuators=_adapted_actuators(scenario.actuators, vehicle_model, units),
         effects=tuple(one.scaled(units) for one in scenario.effects),
         **changes,
     )
-    return replace(fitted, substeps=max(scenario.substeps, fitted.least_substeps))
 
 
 def _adapted_mismatch(
-    mismatch: RandomMismatch | None, drag: tuple[float, float, float], units: Units
+    mismatch: RandomMismatch | None, drag: tuple[float, float, float], units: Units, vehicle: Vehicle
 ) -> RandomMismatch | None:
-    """Return a mismatch with the same ratio of quadratic drag to drag, for the drag over velocity of the vehicle."""
+    """Return a mismatch with the same ratio of quadratic drag to drag, for the drag over velocity of a vehicle."""
     if mismatch is None:
         return None
     if mismatch.vehicles:
         raise ValueError("a scenario with an ensemble of vehicles is for its own vehicle; take one without")
     shares = zip(mismatch.quadratic_drag, drag, PAPER.drag(0.0), ((1, -1), (1, -1), (0, -1)), strict=True)
     X_uu, Y_vv, N_rr = (q * (mine / paper) / units.factor(*rate) for q, mine, paper, rate in shares)
-    return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
+    return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr)).cut(vehicle)
 
 
 def _adapted_actuators(actuators: Actuators, vehicle_model: VehicleModel, units: Units) -> Actuators:

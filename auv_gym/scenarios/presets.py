@@ -15,6 +15,7 @@ from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.intervals import Interval
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.names import CASES, SPEED_RANGES, STEPS
+from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
 __all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
@@ -129,4 +130,4 @@ def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
         f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(PRESETS)}, optionally with a vehicle, such "
         "as cruise-storm@lauv"
     )
-    raise ValueError(f"unknown scenario {scenario!r}; allowed are {allowed}")
+    raise ValueError(f"unknown scenario {scenario!r}{meant(scenario, PRESETS)}; allowed are {allowed}")

@@ -6,9 +6,10 @@ import json
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -56,7 +57,9 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
         raise ValueError(f"{where} is {record!r}; it must be a table of named values")
     known = {f.name: f for f in fields(cls) if f.compare}  # type: ignore[arg-type]
     if unknown := [key for key in record if key not in known]:
-        raise ValueError(f"{where} has no entry {unknown[0]!r}; allowed are {', '.join(known)}")
+        raise ValueError(
+            f"{where} has no entry {unknown[0]!r}{meant(unknown[0], known)}; allowed are {', '.join(known)}"
+        )
     required = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
     if missing := [name for name in required if name not in record]:
         raise ValueError(f"{where} lacks the entry {missing[0]!r}; required are {', '.join(required)}")
@@ -87,6 +90,16 @@ def _nested(cls: Any) -> dict[str, type]:
 
 def _tupled(value: Any) -> Any:
     return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value
+
+
+def meant(name: object, known: Iterable[str]) -> str:
+    """Return " (did you mean ...?)" for an unknown name that is similar to a known one; else "".
+
+    Upper case, and hyphens in place of underscores, do not matter.
+    """
+    alike = {one.lower().replace("_", "-"): one for one in known}
+    similar = get_close_matches(str(name).lower().replace("_", "-"), alike, 1, 0.7)
+    return f" (did you mean {alike[similar[0]]!r}?)" if similar else ""
 
 
 @contextmanager

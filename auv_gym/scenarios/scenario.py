@@ -27,7 +27,7 @@ from auv_gym.physics.stiffness import AT_REST, check_step, substeps_for
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.records import checked_suffix, from_record, guarded, read_table, to_record
+from auv_gym.scenarios.records import checked_suffix, from_record, guarded, meant, read_table, to_record
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts
@@ -427,5 +427,5 @@ def path_from(record: Any) -> Any:
     if (family := rest.pop("family", None)) is None:
         return from_record(RandomPath, rest, "path")
     if not isinstance(family, str) or family not in PATHS:
-        raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
+        raise ValueError(f"unknown path family {family!r}{meant(family, PATHS)}; allowed are {', '.join(PATHS)}")
     return from_record(PATHS[family], rest, f"path {family}")

@@ -29,8 +29,11 @@ def caution(name: str) -> str | None:
     """Return the warning about a policy that is to be loaded, None if there is none."""
     if PolicyName.of(name).kind == "sb3":
         text = f"{name} holds pickled objects, which can run any code: load only files that you trust"
-        beside = statistics_file(Path(name))
-        return f"{text}; its observations are normalised by {beside}" if beside else text
+        if beside := statistics_file(Path(name)):
+            return f"{text}; its observations are normalised by {beside}"
+        if others := sorted(Path(name).parent.rglob("*vecnormalize*.pkl")):
+            return f"{text}; its observations are not normalised; if {others[0]} belongs to it, copy it beside it"
+        return text
     return None
 
 

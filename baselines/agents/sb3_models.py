@@ -75,10 +75,15 @@ def _swapped(memory: Memory | None) -> Memory | None:
 
 
 def statistics_file(file: Path) -> Path | None:
-    """Return the file with the normalisation statistics of a model, None if there is none beside it."""
-    beside = (file.with_name(STATISTICS), file.with_suffix("") / STATISTICS)
-    files = [path for path in beside if path.is_file()] or sorted(file.parent.glob(f"*/{STATISTICS}"))
-    return files[0] if len(files) == 1 or (files and files[0] in beside) else None
+    """Return the file with the normalisation statistics of a model, None if there is none.
+
+    It is beside the model, in a folder with the model's name, or that of `CheckpointCallback` of Stable-Baselines3,
+    PREFIX_vecnormalize_N_steps.pkl for PREFIX_N_steps.zip.
+    """
+    prefix, _, steps = file.stem.removesuffix("_steps").rpartition("_")
+    checkpoint = file.with_name(f"{prefix}_vecnormalize_{steps}_steps.pkl")
+    places = checkpoint, file.with_name(STATISTICS), file.with_suffix("") / STATISTICS
+    return next((path for path in places if path.is_file()), None)
 
 
 def load_model(file: Path, expert: Policy, authority: float | tuple[float, float] = _AUTHORITY) -> Policy:

@@ -12,6 +12,7 @@ from pathlib import Path
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution, load_effects
 from baselines.evaluation.cells import Cell, drawn
@@ -121,7 +122,8 @@ def _frozen(name: str, options: Options) -> tuple[tuple[Cell, ...], str, Recorde
 def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, RecordedRuns]:
     """Return scenarios with episodes that are drawn from the seed, their hash, and no recorded runs."""
     if suite is not None and suite not in DRAWN_SUITES:
-        raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN_SUITES, *list_suites()))}")
+        known = *DRAWN_SUITES, *list_suites()
+        raise UsageError(f"unknown suite {suite!r}{meant(suite, known)}; allowed are {', '.join(known)}")
     scenarios: dict[str, Scenario] = {}
     if options.mission is not None:
         scenario = checked(partial(_mission, options))
@@ -161,8 +163,11 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     if name.partition("@")[0] in PRESETS:
         return checked(partial(as_scenario, name))
     if not name.endswith((".toml", ".json")):
-        known = ", ".join((*others, *PRESETS))
-        raise UsageError(f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {known}")
+        known = *others, *PRESETS
+        raise UsageError(
+            f"unknown scenario {name!r}{meant(name, known)}; allowed are a .toml or .json file, or one of "
+            + ", ".join(known)
+        )
     scenario = checked(partial(as_scenario, name))
     if scenario.name != printable(scenario.name):
         raise UsageError(f"{name}: the scenario's name {scenario.name!r} cannot be printed; choose another one")

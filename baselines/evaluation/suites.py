@@ -26,7 +26,7 @@ from auv_gym.effects.waves import Waves
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.records import from_record, guarded, to_record
+from auv_gym.scenarios.records import from_record, guarded, meant, to_record
 from auv_gym.scenarios.scenario import Scenario, path_from, path_record
 from auv_gym.task.simulation import measurement_errors
 from baselines.control.privileged.truth import Truth
@@ -79,7 +79,7 @@ def load_suite(name: str) -> Suite:
     """
     known = _suites()
     if name not in known:
-        raise SuiteError(f"unknown suite {name!r}; allowed are {', '.join(sorted(known))}")
+        raise SuiteError(f"unknown suite {name!r}{meant(name, known)}; allowed are {', '.join(sorted(known))}")
     return _loaded(name, *known[name])
 
 

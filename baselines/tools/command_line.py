@@ -19,6 +19,8 @@ from typing import Any, NoReturn, TypeVar
 import tyro
 from threadpoolctl import threadpool_limits
 
+from auv_gym.scenarios.records import meant
+
 Options = TypeVar("Options")
 T = TypeVar("T")
 
@@ -139,7 +141,7 @@ def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None
     """
     known = tuple(allowed)
     if unknown := [word for word in given if word not in known]:
-        raise UsageError(f"unknown {kind} {unknown[0]!r}; allowed are {', '.join(known)}")
+        raise UsageError(f"unknown {kind} {unknown[0]!r}{meant(unknown[0], known)}; allowed are {', '.join(known)}")
 
 
 def called(program: str) -> str:

@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from auv_gym.physics.dynamics import state_rates
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.names import STEPS
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PAPER_SCENARIO, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.task.observation import SIZE, decode_observation
 from baselines import make_policy
@@ -276,8 +276,9 @@ def test_rendering_before_reset_or_without_a_mode():
         assert gym.make(TRACK).render() is None
 
 
-def test_arguments_in_the_json_of_the_spec():
-    env = gym.make(TRACK, scenario=PRESETS["slow-storm"].to_dict(), vehicle="paper", control_dt=0.1)
+@pytest.mark.parametrize("scenario", [PRESETS["slow-storm"], PRESETS["slow-storm"].to_dict(), PAPER_SCENARIO])
+def test_arguments_in_the_json_of_the_spec(scenario):
+    env = gym.make(TRACK, scenario=scenario, vehicle="paper", control_dt=0.1)
     copy = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert copy.unwrapped.scenario == env.unwrapped.scenario
 

@@ -1,6 +1,8 @@
 """Scenarios: presets, files and errors of unknown entries."""
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +119,44 @@ def test_unknown_names_are_refused_with_the_known_ones():
         as_scenario("stormy")
     with pytest.raises(ValueError, match="unknown vehicle 7"):
         as_vehicle(7)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: as_scenario("cruise_strom"), "cruise-storm"),
+        (lambda: as_vehicle("REMUS_10"), "remus100"),
+        (lambda: as_scenario("zzz"), None),
+        (lambda: Scenario.from_dict({"substep": 2}), "substeps"),
+        (lambda: Scenario.from_dict({"path": {"family": "Cirlce"}}), "circle"),
+    ],
+)
+def test_a_misspelt_name_is_answered_by_the_one_that_was_meant(make, name):
+    with pytest.raises(ValueError, match="allowed are") as refused:
+        make()
+    meant = re.findall(r"did you mean '([\w-]+)'", str(refused.value))
+    assert meant == ([name] if name else [])
+
+
+def test_changed_chooses_the_substeps_that_a_period_or_a_vehicle_needs():
+    slow = changed(PRESETS["cruise-storm"], control_dt=0.5)
+    light = changed(PRESETS["cruise-calm"], replace(PAPER_VEHICLE, m33=2.0))
+    for scenario in (slow, light):
+        assert scenario.substeps == scenario.least_substeps > 1
+    with pytest.raises(ValueError, match="control_dt / substeps"):
+        changed(PRESETS["cruise-calm"], replace(PAPER_VEHICLE, m33=1e-4))
+
+
+def test_the_mismatch_is_cut_to_what_a_hardly_slender_vehicle_allows():
+    """With m22/m11 = 1.038, as of a BlueROV2 Heavy, all true vehicles stay slender."""
+    hull = replace(PAPER_VEHICLE, m22=1.038 * PAPER_VEHICLE.m11)
+    for name in ("cruise-storm", "slow-mismatch"):
+        scenario = changed(PRESETS[name], hull)
+        drawn = [scenario.draw(np.random.default_rng(seed)).vehicle for seed in range(200)]
+        assert min(one.m22 / one.m11 for one in drawn) >= 1.01
+        assert max(one.m22 / one.m11 for one in drawn) > 1.02
+    with pytest.raises(ValueError, match=r"since the vehicle has m22/m11 = 1\.038"):
+        Scenario(vehicle=hull, mismatch=PRESETS["cruise-storm"].mismatch, substeps=20)
 
 
 def test_changed_keeps_the_duration():

@@ -51,6 +51,13 @@ def configuration(algo="ppo", steps=30, expert=EXPERT, **values):
     return Config(algo, ((scenario, 1.0),), expert, (0.4, 0.8), hyperparameters=values)
 
 
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "DISABLED"])
+def test_other_autoreset_modes_are_refused(mode):
+    env = gym.vector.SyncVectorEnv([lambda: gym.make(TRACK)], autoreset_mode=gym.vector.AutoresetMode[mode])
+    with pytest.raises(ValueError, match=f"autoreset mode {mode}; Stable-Baselines3 needs SAME_STEP"):
+        SB3VecEnv(env)
+
+
 def untrained(algo, **values):
     """Return a model with random weights of which the actor's last layer is not small."""
     model = make_model(configuration(algo, **values))

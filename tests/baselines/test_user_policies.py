@@ -151,24 +151,35 @@ def test_zip_of_the_residual_environment_corrects_the_expert(models):
     np.testing.assert_allclose(weak, make_policy("backstepping").predict(observed)[0], atol=0.02)
 
 
-def test_zip_sees_what_it_saw_in_training(models, tmp_path):
-    """The statistics of VecNormalize beside a model are used, and are part of what makes its numbers."""
+@pytest.mark.parametrize(
+    ("model", "statistics"),
+    [
+        ("best_model.zip", "vecnormalize.pkl"),
+        ("best_model.zip", "best_model/vecnormalize.pkl"),
+        ("ppo_v2_1000_steps.zip", "ppo_v2_vecnormalize_1000_steps.pkl"),  # CheckpointCallback of Stable-Baselines3
+    ],
+)
+def test_zip_sees_what_it_saw_in_training(models, tmp_path, model, statistics):
+    """The statistics of VecNormalize of a model are used, and are part of what makes its numbers; others are not."""
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
-    file = tmp_path / "best_model.zip"
+    file = tmp_path / model
     shutil.copy(models / "PPO.zip", file)
     observation = np.linspace(-1.0, 1.0, 18)
     plain, before = make_policy(str(file)).predict(observation)[0], fingerprint(str(file))
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
     normalised = vec_env.VecNormalize(vec_env.DummyVecEnv([lambda: env]))
     normalised.obs_rms.mean[:], normalised.obs_rms.var[:] = 0.3, 4.0
-    (tmp_path / "env").mkdir()
-    normalised.save(str(tmp_path / "env" / "vecnormalize.pkl"))
+    for name in ("another_run/vecnormalize.pkl", statistics):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        assert "normalised by" not in caution(str(file))
+        np.testing.assert_array_equal(make_policy(str(file)).predict(observation)[0], plain)
+        normalised.save(str(tmp_path / name))
     seen = (observation - 0.3) / np.sqrt(4.0 + normalised.epsilon)
     expected = make_policy(str(models / "PPO.zip")).predict(seen)[0]
     np.testing.assert_allclose(make_policy(str(file)).predict(observation)[0], expected, rtol=1e-5)
     assert not np.allclose(expected, plain)
     assert fingerprint(str(file)) != before
-    assert "vecnormalize.pkl" in caution(str(file))
+    assert f"normalised by {tmp_path / statistics}" in caution(str(file))
 
 
 def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):

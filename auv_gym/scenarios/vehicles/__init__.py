@@ -13,7 +13,7 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
-from auv_gym.scenarios.records import from_record, guarded, read_table
+from auv_gym.scenarios.records import from_record, guarded, meant, read_table
 from auv_gym.scenarios.vehicles.scaling import actuators_in
 
 VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
@@ -154,5 +154,8 @@ def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Veh
         return VEHICLES[vehicle]
     if (vehicle_model := as_vehicle_model(vehicle)) is not None:
         return vehicle_model.vehicle
-    names = ", ".join(list_vehicles())
-    raise ValueError(f"unknown vehicle {vehicle!r}; allowed are a Vehicle, a dict, a .toml file, or one of {names}")
+    names = list_vehicles()
+    raise ValueError(
+        f"unknown vehicle {vehicle!r}{meant(vehicle, names)}; allowed are a Vehicle, a dict, a .toml file, or one of "
+        + ", ".join(names)
+    )

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
@@ -18,9 +19,18 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: a vector environment of this package, from `gym.make_vec(..., vectorization_mode="vector_entry_point")`.
+
+    Raises:
+        ValueError: it has another autoreset mode.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+        mode = env.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"the vector environment has autoreset mode {getattr(mode, 'name', mode)}; Stable-Baselines3 needs "
+                "SAME_STEP: gym.make_vec(..., autoreset_mode='SAME_STEP')"
+            )
         self.env = env
         self._actions: NDArray[Any] | None = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
