@@ -143,7 +143,7 @@ def test_folder_of_a_run_is_not_overwritten(call, capsys):
         (("--algo", "dqn"), "unknown algorithm 'dqn'; allowed are apg, ppo"),
         (
             ("--scenario", "cruse"),
-            "unknown scenario 'cruse'; allowed are a .toml or .json file, or one of helm, slow-outages",
+            "unknown scenario 'cruse' (did you mean 'cruise'?); allowed are a .toml or .json file",
         ),
         (("--scenario", "none.toml"), "cannot read none.toml: No such file"),
         (("--scenario", "cruise:much"), "'cruise:much' has weight 'much'; it must be a positive number"),
