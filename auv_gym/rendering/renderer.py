@@ -86,6 +86,8 @@ class Renderer:
 
     def _open_window(self) -> bool:
         """Open the window if needed, process its events, and return whether it is open."""
+        if self._window is not None and not self._pygame.display.get_init():
+            self._window = None  # another environment has closed the display, of which pygame has only one
         if self._window is None and not self._closed:
             self._pygame.display.init()
             self._window = self._pygame.display.set_mode(self._size)

@@ -75,8 +75,8 @@ def _onnx(file: Path) -> Policy:
 
 def _agent(name: PolicyName) -> Agent:
     if name.folder is None and (folder := Path(name.base)).is_dir():
-        several = sorted(one.parent.name for one in folder.glob("*/agent/agent.json"))
-        hint = f"choose one of its folders {', '.join(several)}" if several else "finish its training with --resume"
+        several = sorted(str(one.parent) for one in folder.glob("*/agent/agent.json"))
+        hint = f"choose one of {', '.join(several)}" if several else "finish its training with --resume"
         raise ValueError(f"{folder} has no agent; {hint}")
     return Agent.load(name.folder or name.base)
 
@@ -86,6 +86,8 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     module = ModuleType(f"user_policy_{file.stem}")
     module.__file__ = str(file)
     sys.modules[module.__name__] = module  # dataclasses look up their module here
+    if (folder := str(file.resolve().parent)) not in sys.path:
+        sys.path.append(folder)  # it may import files beside it; last, so that they replace no other module
     with _users_code(f"{file} cannot be imported"):
         # Not imported: the bytecode that an import keeps is stale if the file changes within a second.
         exec(compile(source, file, "exec", dont_inherit=True), vars(module))

@@ -9,12 +9,14 @@ Results depend on compiled equations, on data, and on code that runs as Python. 
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import re
 import shlex
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -60,8 +62,8 @@ def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
 
     Args:
         policy: name or path of the policy. For FILE.py:FACTORY, FILE.zip, FILE.onnx and programs the data are the
-            file, or the words of the command and the files that these name; modules that they import do not
-            count.
+            file, or the words of the command and the files that these name. Of the modules that a Python file
+            imports, those beside it count.
         scenarios: the scenarios in which it runs. Its equations can depend on their vehicles. Default: the paper's.
     """
     name = PolicyName.of(policy)
@@ -96,6 +98,22 @@ def changed_parts(before: str, now: str) -> list[str]:
     return [name for name, a, b in zip(("equations", "data", "code"), parts, now.split("."), strict=True) if a != b]
 
 
+def _with_neighbours(file: Path) -> list[Path]:
+    """Return a Python file and those that it imports, directly or not, from its own folder."""
+    found, rest = list[Path](), [file]
+    while rest:
+        if (one := rest.pop()) in found:
+            continue
+        found.append(one)
+        with suppress(SyntaxError, ValueError):
+            nodes = [*ast.walk(ast.parse(one.read_bytes()))]
+            names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+            names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+            beside = [file.with_name(f"{name.partition('.')[0]}.py") for name in names if name]
+            rest += [path for path in beside if path.is_file()]
+    return found
+
+
 def _data(name: PolicyName) -> list[str | bytes]:
     """Return the data of a policy without its suffixes; empty if there is no such policy."""
     base, kind = name.base, name.kind
@@ -104,7 +122,7 @@ def _data(name: PolicyName) -> list[str | bytes]:
             words = shlex.split(base.removeprefix(COMMAND))
             return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
         if kind == "python":
-            return [Path(base.rpartition(":")[0]).read_bytes()]
+            return [file.read_bytes() for file in _with_neighbours(Path(base.rpartition(":")[0]))]
         if kind in ("onnx", "sb3"):
             statistics = statistics_file(Path(base)) if kind == "sb3" else None
             return [file.read_bytes() for file in (Path(base), statistics) if file is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.identification import Identified, Log, identify
+from baselines.identification.axes import ContradictionError
 from baselines.identification.columns import Format
 from baselines.identification.files import limits_of, scenario, vehicle_text
 from baselines.identification.log import joined
@@ -27,6 +29,8 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, checked_folde
 from baselines.tools.files import write_atomically
 
 PROGRAM = "auv-gym identify"
+QUADRATIC = ("X_uu", "Y_vv", "N_rr")
+"""The terms that are tried if all terms together show no vehicle."""
 _LARGEST_ENSEMBLE = 1000  # vehicles in a scenario
 
 
@@ -38,7 +42,8 @@ class Options:
     commands that hold until the next row: F_u [N], F_r [N m], or thrust [N], rudder [rad], or revolutions [1/s],
     rudder [rad]. For logs with other columns see --format.
 
-    Exit status: 0 done, 1 the logs do not show all parameters of a vehicle, 2 wrong usage.
+    Exit status: 0 done, 1 the logs do not show all parameters of a vehicle or their columns contradict each other, 2
+    wrong usage. With a model misfit the files are vehicle-misfit.toml and scenario-misfit.toml.
 
     Example: auv-gym identify log.csv --terms X_uu --holdout new.csv --out vehicle
     """
@@ -101,10 +106,15 @@ def main(arguments: Sequence[str]) -> int:
     try:
         inputs = read(options)
         checked_folder(options.out)
-        identified = identify(inputs.log, options.terms or None, not options.through_water, inputs.known)
+        identified, taken = fitted(inputs, options)
         errors = None if inputs.held_out is None else held_out(identified, inputs.held_out)
+    except ContradictionError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return FAILED
     except ValueError as error:
         raise UsageError(str(error)) from error
+    for note in (*inputs.log.notes, *([taken] if taken else [])):
+        print(note)
     if identified.misfit:
         print(MISFIT)
     for row in rows(identified):
@@ -142,24 +152,46 @@ def read(options: Options) -> InputFiles:
     return InputFiles(log, new, known, like, actuators)
 
 
+def fitted(inputs: InputFiles, options: Options) -> tuple[Identified, str]:
+    """Return the fit, and a sentence if it has fewer terms than the default since that shows no vehicle.
+
+    Raises:
+        ValueError: no fit is possible.
+    """
+    results, failure = list[Identified](), ValueError()
+    for terms in (options.terms,) if options.terms else (None, QUADRATIC, ()):
+        try:
+            results.append(identify(inputs.log, terms, not options.through_water, inputs.known))
+            results[-1].vehicle(inputs.like)
+        except ValueError as error:
+            failure = failure if failure.args else error
+            continue
+        says = f"the default terms show no vehicle ({failure}); taken: {', '.join(terms or ('none',))}"
+        return results[-1], says if failure.args else ""
+    if results:
+        return results[0], ""
+    raise failure
+
+
 def written(identified: Identified, errors: HeldOut | None, inputs: InputFiles, options: Options) -> Files:
     """Return report.md with figures, and vehicle.toml and scenario.toml if the log shows enough for them."""
     name = _names(options.logs)
     tables: dict[str, str] = {}
+    mark = "-misfit" if identified.misfit else ""
     note = f"not from the log: {', '.join(identified.unknown)}" if identified.unknown else ""
-    missing = "vehicle.toml"
+    missing = f"vehicle{mark}.toml"
     try:
         vehicle = identified.vehicle(inputs.like)
         limits = limits_of(identified, inputs.actuators)
-        tables["vehicle.toml"] = vehicle_text(identified, vehicle, limits, name)
-        missing = "scenario.toml"
+        tables[missing] = vehicle_text(identified, vehicle, limits, name)
+        missing = f"scenario{mark}.toml"
         ensemble = identified.ensemble(options.ensemble, inputs.like) if options.ensemble else []
-        tables["scenario.toml"] = tomli_w.dumps(scenario(identified, vehicle, limits, ensemble).to_dict())
+        tables[missing] = tomli_w.dumps(scenario(identified, vehicle, limits, ensemble).to_dict())
     except ValueError as error:
         hint = "; or name a vehicle by --like" if identified.unknown and inputs.like is None else ""
         note = f"no {missing}: {error}{hint}"
     report = report_files(identified, name, note, errors, _names(options.holdout))
-    return Files({**report, **tables}, note, "vehicle.toml" in tables)
+    return Files({**report, **tables}, note, bool(tables))
 
 
 def _names(files: Sequence[Path]) -> str:

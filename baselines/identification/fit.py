@@ -53,6 +53,7 @@ DEFAULT_TERMS = tuple(name for name in OPTIONAL if name not in CROSS_TERMS)
 LONGER = 4  # factor on the length of segments from fit to fit
 SIGNIFICANCE = 1e-4  # `Identified.whiteness` below which there is a model misfit
 FEWEST_BEYOND = 3  # commands beyond a limit without which it is not identified
+LIMIT_MARGIN = 1.02  # factor on a limit from which a command is beyond it
 WORSE = 1.5  # factor on the mean squared error from which longer segments are rejected
 
 
@@ -149,6 +150,7 @@ class Identified:
         return self.whiteness < SIGNIFICANCE
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # of trial steps, which are then refused
 def identify(
     log: Log, terms: Sequence[str] | None = None, over_ground: bool = True, known: Mapping[str, float] | None = None
 ) -> Identified:
@@ -200,7 +202,8 @@ def identify(
         more = [name for name in CROSS_TERMS if name not in initial.free and initial.shares[name] > 0]
         crossed = replace(initial, free=(*initial.free, *more))
         other = _BackwardElimination(last.model, crossed, known, (*candidates, *CROSS_TERMS)).run()
-        gain = len(log.t) * float(np.sum(np.log(result.noise / other.noise)))
+        counts = len(log.t) if log.seen is None else log.seen.sum(axis=0)
+        gain = float(np.sum(counts * np.log(result.noise / other.noise)))
         result = other if gain > EVIDENCE else result
     return result
 
@@ -233,7 +236,7 @@ class _BackwardElimination:
         self.states = self.residuals.states
         self.noise = estimated_noise(self.residuals, self.noise, self.model.log)
         self.values, self.residuals = self._fit(self.values)
-        self.whiteness = whiteness(self.residuals.errors, self.model.starts)
+        self.whiteness = whiteness(self.residuals, self.model.starts)
         self.covariance = covariance(self.residuals, self.model.starts, self.whiteness < SIGNIFICANCE)
 
     def explains(self) -> bool:
@@ -270,7 +273,7 @@ class _BackwardElimination:
         value, deviation = self.values[self.index[name]], self._deviation(name)
         if name in LIMIT_NAMES:
             commands = np.abs(self.model.log.commands[:, LIMIT_NAMES.index(name)])
-            reached = np.count_nonzero(commands > value) >= FEWEST_BEYOND
+            reached = np.count_nonzero(commands > LIMIT_MARGIN * value) >= FEWEST_BEYOND
             return float((commands.max() - value) / deviation) if reached else -math.inf
         ratio = float(value / deviation)
         return ratio if name in NOT_NEGATIVE else abs(ratio)

@@ -68,6 +68,13 @@ class Residuals:
     states: Array  # x, y, psi, u, v, r at the first rows of the segments, shape (S, 6)
     errors: Array  # measured minus predicted, shape (T, 6)
     slopes: Array  # derivatives of the errors by the free parameters, projected like them, shape (T, 6, F)
+    seen: NDArray[np.bool_] | None = (
+        None  # measurements that count, shape (T, 6), see `Log`; the others have errors of 0
+    )
+
+    def counted(self, rows: slice, column: int) -> slice | Indices:
+        """Return those of some rows in which a measurement counts."""
+        return rows if self.seen is None else np.arange(rows.start, rows.stop)[self.seen[rows, column]]
 
 
 def measured_states(model: LogModel) -> Array:
@@ -89,6 +96,8 @@ def residuals(model: LogModel, values: Array, free: Indices, states: Array, nois
         prediction = model.predict(values, trial, free if last else free[:0])
         errors, by_state = (measured - prediction.outputs) / noise, prediction.by_state / noise[:, None]
         slopes = -prediction.by_value / noise[:, None]
+        if (seen := model.log.seen) is not None:
+            errors, by_state, slopes = errors * seen, by_state * seen[:, :, None], slopes * seen[:, :, None]
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.add.reduceat(np.sum(errors**2, axis=1), model.starts)
         if not last:
@@ -103,7 +112,9 @@ def residuals(model: LogModel, values: Array, free: Indices, states: Array, nois
         both = np.column_stack((slopes[part].reshape(errors[part].size, len(free)), errors[part].ravel()))
         both -= basis @ (basis.T @ both)
         slopes[part], errors[part] = both[:, :-1].reshape(slopes[part].shape), both[:, -1].reshape(errors[part].shape)
-    return Residuals(trial, errors, slopes)
+    if seen is not None:  # the projection leaves rounding errors
+        errors, slopes = errors * seen, slopes * seen[:, :, None]
+    return Residuals(trial, errors, slopes, seen)
 
 
 def _state_changes(by_state: Array, errors: Array, segments: Sequence[slice]) -> Array:

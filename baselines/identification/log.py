@@ -10,11 +10,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.scenarios.records import guarded
-from baselines.identification.columns import QUANTITIES, Format, standard_columns
+from baselines.identification.axes import ContradictionError, check_commands, check_motion
+from baselines.identification.columns import QUANTITIES, Format, Table, repeated
 
 MEASURED_COLUMNS = ("x", "y", "psi", "u", "v", "r")
 """Columns of the measurements: position, heading, velocities in the body frame."""
@@ -30,6 +31,7 @@ _MAX_ROWS = 100_000  # of a log
 _MAX_ENTRY = 1e12  # largest magnitude of an entry
 _MIN_MOTION = 1e-6  # least peak velocity [m/s], [rad/s] of a log, and least range of its commands
 _LEAST_NOISE = 1e-6  # as a share of the range of a measurement
+_EPOCH = 1e8  # [s] time from which stamps are counted from the first one
 _GAP = 5  # a gap is a time step above this multiple of the median time step
 
 
@@ -52,6 +54,8 @@ class Log:
     kind: str = "force"  # of the commands
     wind: Array | None = None  # the columns of `WIND_COLUMNS`, held until the next instant, shape (T, 2)
     starts: tuple[int, ...] = (0,)  # first row of each run
+    seen: NDArray[np.bool_] | None = None  # measurements that count, shape (T, 6); None: all. Others are interpolated
+    notes: tuple[str, ...] = ()  # what does not count, and why
 
     def __post_init__(self) -> None:
         T = len(self.t)
@@ -59,11 +63,16 @@ class Log:
             ("measured", self.measured, 6),
             ("commands", self.commands, 2),
             ("wind", self.wind, 2),
+            ("seen", self.seen, 6),
         ):
             if values is not None and values.shape != (T, width):
                 raise ValueError(f"a log of {T} instants has {name} of shape {values.shape}; it must be ({T}, {width})")
         if T > _MAX_ROWS:
-            raise ValueError(f"the log has {T} rows; it must have {_MIN_ROWS} to {_MAX_ROWS}")
+            every = self.duration / (0.5 * _MAX_ROWS)
+            raise ValueError(
+                f"the log has {T} rows; it must have {_MIN_ROWS} to {_MAX_ROWS}: thin it by every = {every:.2g} in a "
+                "format, or cut it"
+            )
         for name, column in zip(self.columns, self.table.T, strict=True):
             if len(bad := np.flatnonzero(~(np.abs(column) <= _MAX_ENTRY))):
                 entry = f"{name} in data row {bad[0] + 1} is {column[bad[0]]}"
@@ -79,8 +88,10 @@ class Log:
             _, _, psi, _, _, r = self.measured.T
             if r.std() > 3 * rough_noise(self)[5] + 1e-9 and np.ptp(np.unwrap(psi)) > 0.5:
                 raise ValueError("F_r is 0 throughout, but the vehicle turns: log the commanded yaw moments")
+        noise = rough_noise(self)
         for run in self.runs:
-            _check_units(self.t[run], self.measured[run])
+            check_motion(self.t[run], self.measured[run], noise)
+            check_commands(self.t[run], self.commands[run], self.measured[run], CONTROLS[self.kind])
 
     def _check_times(self, run: slice) -> None:
         t = self.t[run]
@@ -115,6 +126,11 @@ class Log:
         """Median time [s] from one row to the next."""
         return float(np.median(np.diff(self.t)))
 
+    def counted(self, rows: slice, column: int) -> Indices:
+        """Return those of some rows in which a measurement counts."""
+        every = np.arange(rows.start, rows.stop)
+        return every if self.seen is None else every[self.seen[rows, column]]
+
     @property
     def duration(self) -> float:
         """Total length of all runs [s]."""
@@ -128,32 +144,55 @@ class Log:
 
     def save(self, file: str | Path) -> None:
         """Write the log to a CSV file whose first line has the names of the columns."""
-        np.savetxt(file, self.table, "%.9g", ",", header=",".join(self.columns), comments="", encoding="utf-8")
+        table = self.table
+        if self.seen is not None:
+            table[:, 1:7][~self.seen] = np.nan
+        np.savetxt(file, table, "%.9g", ",", header=",".join(self.columns), comments="", encoding="utf-8")
 
     @classmethod
-    def load(cls, file: str | Path, form: Format | None = None) -> Log:
-        """Return the log in a file; without a format it must be a CSV file, see `columns.standard_columns`.
+    def load(cls, file: str | Path, form: Format | str | None = None) -> Log:
+        """Return the log in a file; without a format its first line names the columns, see `Format.of_first_line`.
 
         Its columns are t, those of `MEASURED_COLUMNS`, those of one kind in `CONTROLS`, and optionally those of
-        `WIND_COLUMNS`. With a format, gaps divide the log into runs.
+        `WIND_COLUMNS`. With a format, gaps divide the log into runs. A measurement without a value does not count, and
+        one that is held for several rows counts once. A format may be given by its name or file.
 
         Raises:
+            ContradictionError: columns contradict each other.
             ValueError: the file is not a table of numbers, a column is missing or has the wrong unit, or the log is
                 invalid.
             OSError: the file cannot be read.
         """
+        form = Format.named(form) if isinstance(form, str) else form
         with guarded(str(file)):
-            return cls._of_columns(standard_columns(Path(file), _COLUMNS) if form is None else form.read(file), form)
+            table = (Format.of_first_line(Path(file), _COLUMNS) if form is None else form).read(file)
+            try:
+                return cls._of_columns(table, form)
+            except ContradictionError as error:
+                contradiction = ContradictionError(f"{file}: {error}")
+        raise contradiction
 
     @classmethod
-    def _of_columns(cls, columns: Mapping[str, Array], form: Format | None) -> Log:
+    def _of_columns(cls, read: Table, form: Format | None) -> Log:
         """Return the log of columns, by name; with a format in runs without gaps."""
+        columns, notes = read.columns, [*read.notes]
         kind = next((kind for kind, names in CONTROLS.items() if columns.keys() >= {*names}), "force")
         needed = ("t", *MEASURED_COLUMNS, *CONTROLS[kind])
         if missing := [name for name in needed if name not in columns]:
             expected = ", ".join(f"{name} [{QUANTITIES[name]}]" for name in needed)
-            raise ValueError(f"there is no column {missing[0]!r}; the first line must name {expected}")
+            hint = "" if form else "; describe other names, units and separators in a format: --format FILE.toml"
+            raise ValueError(f"there is no column {missing[0]!r}; the first line must name {expected}{hint}")
+        known = np.isfinite(np.column_stack([columns[name] for name in CONTROLS[kind]])).all(axis=1)
+        begin = int(np.argmax(known)) if known.any() else 0
+        columns = {name: values[begin:] for name, values in columns.items()}
+        if begin:
+            notes.append(f"{begin} rows before the first commands are left out")
+        seen, held = _seen(columns)
+        columns |= {
+            name: _filled(name, columns[name], mask) for name, mask in zip(MEASURED_COLUMNS, seen.T, strict=True)
+        }
         t = columns["t"]
+        t = t - t[0] if len(t) and t[0] > _EPOCH else t
         if not (runs := [slice(0, len(t))] if form is None else _without_gaps(t)):
             raise ValueError(f"the log has no {_MIN_ROWS} rows without a gap; it must have {_MIN_ROWS} to {_MAX_ROWS}")
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
@@ -164,7 +203,33 @@ class Log:
 
         wind = table(WIND_COLUMNS) if columns.keys() >= {*WIND_COLUMNS} else None
         measured, commands = table(MEASURED_COLUMNS), table(CONTROLS[kind])
-        return cls(t[rows], measured, commands, kind, wind, tuple(starts.tolist()))
+        counted = None if seen.all() else seen[rows]
+        return cls(t[rows], measured, commands, kind, wind, tuple(starts.tolist()), counted, (*notes, *held))
+
+
+def _seen(columns: Mapping[str, Array]) -> tuple[NDArray[np.bool_], list[str]]:
+    """Return which measurements count, shape (T, 6): those with a value, and of held values the first row."""
+    table = np.column_stack([columns[name] for name in MEASURED_COLUMNS])
+    seen, notes = np.isfinite(table), []
+    for names in (("x", "y"), *((name,) for name in MEASURED_COLUMNS[2:])):
+        at = [MEASURED_COLUMNS.index(name) for name in names]
+        rows = np.flatnonzero(seen[:, at].all(axis=1))
+        values = table[rows][:, at]
+        if len(rows) > 1 and (often := repeated(values)) > 1:
+            again = rows[1:][(np.diff(values, axis=0) == 0).all(axis=1)]
+            for j in at:
+                seen[again, j] = False
+            notes.append(f"{', '.join(names)} change in about every {often}. row only: each value counts once")
+    return seen, notes
+
+
+def _filled(name: str, values: Array, seen: NDArray[np.bool_]) -> Array:
+    """Return a measurement with values interpolated over the rows in which it does not count."""
+    if seen.all() or not seen.any():
+        return values
+    rows = np.arange(len(values))
+    known = np.unwrap(values[seen]) if name == "psi" else values[seen]
+    return np.asarray(np.interp(rows, rows[seen], known))
 
 
 def slices(starts: Iterable[int], end: int) -> list[slice]:
@@ -191,7 +256,11 @@ def joined(logs: Sequence[Log]) -> Log:
     t, measured, commands = (
         np.concatenate([getattr(log, name) for log in logs]) for name in ("t", "measured", "commands")
     )
-    return Log(t, measured, commands, logs[0].kind, wind, starts)
+    seen = None
+    if any(log.seen is not None for log in logs):
+        seen = np.concatenate([np.ones_like(log.measured, bool) if log.seen is None else log.seen for log in logs])
+    notes = tuple(dict.fromkeys(note for log in logs for note in log.notes))
+    return Log(t, measured, commands, logs[0].kind, wind, starts, seen, notes)
 
 
 def unwrapped(log: Log) -> Array:
@@ -214,65 +283,14 @@ def _without_gaps(t: Array) -> list[slice]:
 def rough_noise(log: Log) -> Array:
     """Return standard deviations of the measurement noise from second differences, shape (6,)."""
     measured = unwrapped(log)
-    bends = np.concatenate([np.diff(measured[run], 2, axis=0) for run in log.runs])
-    noise = 1.4826 * np.median(np.abs(bends - np.median(bends, axis=0)), axis=0) / math.sqrt(6)
+    noise = np.zeros(6)
+    for j in range(6):
+        bends = np.concatenate([np.diff(measured[log.counted(run, j), j], 2) for run in log.runs])
+        if len(bends):
+            noise[j] = 1.4826 * np.median(np.abs(bends - np.median(bends))) / math.sqrt(6)
     return np.asarray(np.maximum(noise, least_noise(log)))
 
 
 def least_noise(log: Log) -> Array:
     """Return lower bounds of the standard deviations of the noise, a small share of the range, shape (6,)."""
     return np.asarray(np.maximum(_LEAST_NOISE * np.ptp(unwrapped(log), axis=0), 1e-9))
-
-
-def _check_units(t: Array, measured: Array) -> None:
-    """Raise ValueError if positions, heading and speeds contradict each other, as with wrong units or axes.
-
-    The changes of position and heading over one second are compared with the integrals of the velocities.
-    """
-    x, y, psi, u, v, r = measured.T
-    step = max(1, round(1 / float(np.median(np.diff(t)))))
-
-    def change(values: Array) -> Array:
-        return values[step:] - values[:-step]
-
-    def integral(rate: Array) -> Array:
-        return change(cumulative_trapezoid(rate, t, initial=0.0))
-
-    turned, wrapped, integrated = change(np.unwrap(psi)), change(psi), integral(r)
-    degree = math.pi / 180
-    if integrated.std() > 0:
-        if abs(_slope(integrated, wrapped) * degree - 1) < 0.3 and abs(_slope(integrated, turned) - 1) > 0.3:
-            raise ValueError("psi changes 57 times as fast as r: it looks like degrees; it must be in [rad]")
-        if abs(_slope(turned, integrated) * degree - 1) < 0.3:
-            raise ValueError("r is 57 times the rate of psi: it looks like degrees; it must be in [rad/s]")
-    moved = np.concatenate((change(x), change(y)))
-    speed = float(np.hypot(u, v).mean())
-    if speed * (t[-1] - t[0]) < 1.0 or moved.std() == 0:
-        return  # too little motion for a comparison
-
-    def unexplained(heading: Array, north: Array, east: Array) -> float:
-        """Return the share of the squared displacement that the velocities do not explain."""
-        c, s = np.cos(heading), np.sin(heading)
-        expected = np.concatenate([integral(w) for w in (u * c - v * s, u * s + v * c)])
-        actual = np.concatenate((change(north), change(east)))
-        return float(np.mean((actual - expected) ** 2) / np.mean(actual**2))
-
-    usual = unexplained(psi, x, y)
-    if usual < 0.3:
-        return
-    for message, other in (
-        ("psi looks like degrees; it must be in [rad]", unexplained(psi * degree, x, y)),
-        ("x and y look interchanged; x' = u cos(psi) - v sin(psi) must hold", unexplained(psi, y, x)),
-        ("psi seems to have the opposite sign; x' = u cos(psi) - v sin(psi) must hold", unexplained(-psi, x, y)),
-    ):
-        if other < 0.3 * usual:
-            raise ValueError(f"positions contradict heading and speeds: {message}")
-    along = _slope(np.hypot(integral(u), integral(v)), np.hypot(*np.split(moved, 2)))
-    if not 0.7 < along < 1.4:
-        hint = ": u and v look like knots" if 0.48 < along < 0.56 else ""
-        raise ValueError(f"positions change {along:.3g} times as fast as u and v{hint}; both must be in SI units")
-
-
-def _slope(x: Array, y: Array) -> float:
-    """Return the slope of the line through the origin that explains y by x with the least squared error."""
-    return float(x @ y / max(float(x @ x), 1e-300))

@@ -155,6 +155,8 @@ def _predicted(identified: Identified, log: Log, starts: Indices, values: Array,
     for _ in range(_STEPS):
         prediction = model.predict(values, states, nothing)
         errors, slopes = (measured - prediction.outputs) / noise, prediction.by_state / noise[:, None]
+        if log.seen is not None:
+            errors, slopes = errors * log.seen, slopes * log.seen[:, :, None]
         for i, segment in enumerate(slices(starts, len(measured))):
             rows = slice(segment.start, segment.start + int(early[segment].sum()))
             states[i] += np.linalg.lstsq(slopes[rows].reshape(-1, LOG_STATES), errors[rows].ravel(), rcond=None)[0]

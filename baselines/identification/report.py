@@ -75,6 +75,8 @@ def report_files(
             + (_UNEXPLAINED if identified.misfit else "")
         ),
         *([f"**{note[0].upper()}{note[1:]}.**"] if note else []),
+        *(["Of the log: " + "; ".join(log.notes) + "."] if log.notes else []),
+        "The current V_x, V_y is along the axes of x and y of the log: north and east where x is north.",
         _table(rows(identified)),
         "## Fit\n\n![Measured and predicted](fit.png)",
         "## Residuals\n\n![Residuals and their autocorrelation](residuals.png)\n\n"

@@ -20,29 +20,30 @@ PORTMANTEAU = 10  # number of lags of the portmanteau test
 
 def estimated_noise(residuals: Residuals, noise: Array, log: Log) -> Array:
     """Return standard deviations of the noise, shape (6,), from residuals in units of the assumed ones, `noise`."""
-    count = residuals.errors.size
+    counts = np.full(6, len(residuals.errors)) if residuals.seen is None else residuals.seen.sum(axis=0)
+    count = int(counts.sum())
     fitted = residuals.slopes.shape[2] + residuals.states.size
-    rms = np.sqrt(np.mean(residuals.errors**2, axis=0) * count / max(count - fitted, 1))
+    rms = np.sqrt(np.sum(residuals.errors**2, axis=0) / np.maximum(counts, 1) * count / max(count - fitted, 1))
     return np.asarray(np.maximum(rms * noise, least_noise(log)))
 
 
-def whiteness(errors: Array, starts: Indices) -> float:
+def whiteness(residuals: Residuals, starts: Indices) -> float:
     """Return the probability that white noise has an autocorrelation as large as the residuals, or larger.
 
     It is the p-value of the portmanteau statistic of all measurements together (G. M. Ljung and G. E. P. Box, "On a
     measure of lack of fit in time series models", Biometrika 65:297-303, 1978).
 
-    `errors` are measured minus predicted, shape (T, 6), and `starts` the first rows of the segments.
+    `starts` are the first rows of the segments.
     """
-    segments = slices(starts, len(errors))
-    total = 0.0
-    for channel in errors.T:
-        variance = float(np.mean(channel**2))
+    segments, total, terms = slices(starts, len(residuals.errors)), 0.0, 0
+    for j, channel in enumerate(residuals.errors.T):
+        parts = [channel[residuals.counted(s, j)] for s in segments]
+        variance = float(np.sum(channel**2)) / max(sum(map(len, parts)), 1)
         for k in range(1, PORTMANTEAU + 1):
-            products = [channel[s.start : s.stop - k] @ channel[s.start + k : s.stop] for s in segments]
-            count = sum(max(s.stop - s.start - k, 0) for s in segments)
-            total += (sum(products) / variance) ** 2 / max(count, 1)
-    return float(chdtrc(PORTMANTEAU * errors.shape[1], total))
+            if count := sum(max(len(part) - k, 0) for part in parts):
+                products = [part[:-k] @ part[k:] for part in parts]
+                total, terms = total + (sum(products) / variance) ** 2 / count, terms + 1
+    return float(chdtrc(terms, total))
 
 
 def covariance(residuals: Residuals, starts: Indices, misfit: bool = False) -> Array:
@@ -67,14 +68,18 @@ def covariance(residuals: Residuals, starts: Indices, misfit: bool = False) -> A
     if not np.isfinite(white).all():
         return np.asarray(white)
     segments = slices(starts, len(residuals.errors))
-    window = max(2, min(s.stop - s.start for s in segments) // _LAG_SHARE)
     middle = np.zeros((F, F))
     for channel in range(residuals.errors.shape[1]):
-        autocovariance = _autocovariance(residuals.errors[:, channel], segments, window)
-        for segment in segments:
-            slopes = residuals.slopes[segment, channel]
+        parts = [residuals.counted(s, channel) for s in segments]
+        errors = [residuals.errors[part, channel] for part in parts]
+        window = max(2, min(map(len, errors)) // _LAG_SHARE)
+        autocovariance = _autocovariance(errors, window)
+        for part in parts:
+            slopes = residuals.slopes[part, channel]
             row = np.zeros(len(slopes))
             row[:window] = autocovariance[: len(slopes)]
+            if not len(slopes):
+                continue
             middle += slopes.T @ toeplitz(row) @ slopes
     variances = [np.diag(white @ middle @ white)]
     if misfit:
@@ -85,11 +90,10 @@ def covariance(residuals: Residuals, starts: Indices, misfit: bool = False) -> A
     return np.asarray(white * np.outer(factors, factors))
 
 
-def _autocovariance(errors: Array, segments: Sequence[slice], window: int) -> Array:
+def _autocovariance(parts: Sequence[Array], window: int) -> Array:
     """Return the autocovariance within segments at lags of 0 ... window - 1 rows, with a Bartlett taper."""
     sums, counts = np.zeros(window), np.zeros(window)
-    for segment in segments:
-        part = errors[segment]
+    for part in parts:
         for k in range(min(window, len(part))):
             sums[k] += part[: len(part) - k] @ part[k:]
             counts[k] += len(part)

@@ -177,7 +177,8 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
     except WorkerError as error:
         line = str(error)
     except OSError as error:
-        status, line = FAILED, f"cannot continue: {error}"
+        what = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+        status, line = FAILED, f"cannot continue: {what}"
         _drop_output()
     except KeyboardInterrupt:
         line = "interrupted"

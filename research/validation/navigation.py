@@ -45,8 +45,8 @@ def navigation_errors(folder: Path) -> dict[str, Any]:
     truth, doppler = Format.named("snapir-truth"), Format.named("snapir-log")
     sections = []
     for file in truths:
-        track = truth.read(file)
-        section, measured = _section(track, doppler.read(file.with_name(f"DVL_{file.stem[3:]}.csv")))
+        track = truth.read(file).columns
+        section, measured = _section(track, doppler.read(file.with_name(f"DVL_{file.stem[3:]}.csv")).columns)
         for name, heading in (("suite_drift_m", False), ("suite_whole_drift_m", True)):
             section[name] = _rms([_drift(track, *_of_suite(track, rng, heading)) for _ in range(INSTRUMENT_SETS)])
         section["drift_m"] = _drift(track, *measured)

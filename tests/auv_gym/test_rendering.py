@@ -215,3 +215,12 @@ def test_the_user_can_close_the_window(human):
     assert not pygame.display.get_init()
     assert human.draw(VIEW._replace(time=4.0)) is None
     assert not pygame.display.get_init()
+
+
+def test_a_window_goes_on_when_that_of_another_environment_is_closed(human):
+    other = Renderer("human", fps=200.0, size=SIZE)
+    human.draw(VIEW)
+    other.draw(VIEW)
+    other.close()
+    human.draw(VIEW._replace(time=4.0))
+    assert pygame.display.get_init()

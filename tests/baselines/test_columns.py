@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from baselines.identification.columns import FORMATS_FOLDER, Format
+from baselines.identification.columns import FORMATS_FOLDER, Format, repeated
 from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, joined
 from baselines.identification.trials import example
 
@@ -62,15 +63,114 @@ def test_east_north_up(log, tmp_path):
     np.testing.assert_allclose(got.table, log.table, rtol=1e-9, atol=1e-9)
 
 
-def test_gaps_and_empty_rows_divide_a_log_into_runs(log, tmp_path):
-    si = table(log)
-    si["x"] = np.where((log.t > 20) & (log.t < 30), np.nan, si["x"])
+def test_gaps_divide_a_log_into_runs(log, tmp_path):
+    si = {name: column[(log.t <= 20) | (log.t >= 30)] for name, column in table(log).items()}
     got = Log.load(written(tmp_path, si), Format(SI))
     assert got.starts == (0, 201)
     assert got.duration == pytest.approx(50.0)
     both = joined([got, log])
     assert both.starts == (0, 201, len(got.t))
     assert [run.stop - run.start for run in both.runs] == [201, 301, 601]
+
+
+def test_a_missing_measurement_has_no_weight_and_its_row_keeps_its_command(log, tmp_path):
+    """As with positions at 2 Hz in a table of 10 Hz; blank commands are held."""
+    si, often = table(log), np.arange(len(log.t)) % 5 == 0
+    si |= {name: np.where(often, si[name], np.nan) for name in ("x", "y", "psi")}
+    si["F_u"] = np.where(np.append(True, np.diff(si["F_u"]) != 0), si["F_u"], np.nan)
+    file = written(tmp_path, si)
+    file.write_text(file.read_text(encoding="utf-8").replace("nan", ""), encoding="utf-8")
+    for form in (None, Format(SI)):
+        got = Log.load(file, form)
+        np.testing.assert_array_equal(got.commands, log.commands)
+        np.testing.assert_array_equal(got.seen[:, :3], np.tile(often[:, None], 3))
+        assert got.seen[:, 3:].all()
+        np.testing.assert_allclose(got.measured[often], log.measured[often], atol=1e-9)
+        assert "x, y, psi: blank in 480 of 601 rows" in got.notes
+    got.save(tmp_path / "again.csv")
+    np.testing.assert_array_equal(Log.load(tmp_path / "again.csv").seen, got.seen)
+
+
+def test_a_held_measurement_counts_once(log, tmp_path):
+    """As with fixes of a receiver that are repeated until the next one."""
+    si = table(log)
+    held = np.arange(len(log.t)) // 5 * 5
+    si |= {"x": si["x"][held], "y": si["y"][held]}
+    got = Log.load(written(tmp_path, si))
+    np.testing.assert_array_equal(np.flatnonzero(got.seen[:, 0]), np.unique(held))
+    assert got.notes == ("x, y change in about every 5. row only: each value counts once",)
+    assert log.seen is None
+    assert repeated(np.round(log.measured[:, 5], 2)) == 1  # a coarse sensor is not a slow one
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [
+        ("ns", lambda t: [f"{1_700_000_000_000_000_000 + round(1e9 * x)}" for x in t]),
+        ("microseconds", lambda t: [f"{1e6 * x:.0f}" for x in t]),
+        ("msec", lambda t: [f"{1e3 * x:.0f}" for x in t]),
+        ("", lambda t: [datetime.fromtimestamp(1.7e9 + x, timezone.utc).isoformat().replace("+00:00", "Z") for x in t]),
+    ],
+)
+def test_stamps_of_any_kind(log, tmp_path, unit, shown):
+    columns = {name: [f"{x:.12g}" for x in values] for name, values in table(log).items()} | {"t": shown(log.t)}
+    file = tmp_path / "log.csv"
+    head = ",".join(columns).replace("t,", f"t [{unit}],", 1) if unit else ",".join(columns)
+    file.write_text("\n".join([head, *map(",".join, zip(*columns.values(), strict=True))]), encoding="utf-8")
+    np.testing.assert_allclose(Log.load(file).t, log.t, atol=1e-5)
+    if unit == "ns":
+        with pytest.raises(ValueError, match=r"t begins at 1.7e\+18 s, which looks like ns since 1970"):
+            Log.load(file, Format(SI | {"t": 1}))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_exports_of_other_countries_are_read(log, tmp_path, encoding, separator):
+    file = written(tmp_path, table(log), separator=separator)
+    file.write_text(file.read_text(encoding="utf-8").replace(".", ","), encoding=encoding)
+    np.testing.assert_allclose(Log.load(file).table, log.table, rtol=1e-9, atol=1e-9)
+    with pytest.raises(ValueError, match=r"t in data row 2 is '0,1'; it must be .* decimal = \",\""):
+        Log.load(file, Format(SI, separator=separator))
+
+
+def test_two_thrusters_pulses_and_quaternions(log, tmp_path):
+    si, lever = table(log), 0.4
+    side = 0.5 * si["F_r"] / lever
+    shown = {name: si[name] for name in ("t", "x", "y", "u", "v", "r")}
+    thrusts = {"left": 0.5 * si["F_u"] + side, "right": 0.5 * si["F_u"] - side}
+    shown |= {name: 1500 + 2 * force + 25 * np.sign(force) for name, force in thrusts.items()}
+    shown |= {"qz": np.sin(0.5 * si["psi"]), "qw": np.cos(0.5 * si["psi"])}
+    pulse = {"offset": 1500, "dead_band": 25, "scale": 0.5}
+    columns = {name: name for name in ("t", "x", "y", "u", "v", "r")} | {"q_z": "qz", "q_w": "qw"}
+    columns |= {"port": {"column": "left", **pulse}, "starboard": {"column": "right", **pulse}}
+    got = Log.load(written(tmp_path, shown), Format(columns, lever=lever))
+    np.testing.assert_allclose(got.commands, log.commands, rtol=1e-8, atol=1e-7)
+    np.testing.assert_allclose(np.exp(1j * got.measured[:, 2]), np.exp(1j * si["psi"]), atol=1e-8)
+    with pytest.raises(ValueError, match="format has port or starboard, but no lever"):
+        Format(columns)
+
+
+def test_cells_that_are_no_numbers_are_counted(log, tmp_path):
+    columns = {name: [f"{x:.12g}" for x in values] for name, values in table(log).items()}
+    columns["r"][6] = columns["r"][9] = "--"
+    file = tmp_path / "log.csv"
+    lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True)), ",,,,,,,,", ",,,,,,,,"]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    got = Log.load(file)
+    assert np.flatnonzero(~got.seen[:, 5]).tolist() == [6, 9]
+    assert got.notes == (
+        "2 of 603 rows are blank and left out",
+        "r in data row 7 is '--', not a number; 2 of 601 rows have such a cell and no value",
+    )
+    file.write_text("time;yaw\n0;1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"there is no column 't'; .* in a format: --format FILE\.toml"):
+        Log.load(file)
+
+
+def test_too_long_a_log_is_told_its_length_and_how_to_thin_it():
+    rows = np.zeros((120_000, 6))
+    with pytest.raises(ValueError, match=r"the log has 120000 rows; .* thin it by every = 0.024 in a format"):
+        Log(0.01 * np.arange(120_000), rows, rows[:, :2])
 
 
 def test_rows_are_thinned_and_commands_averaged(log, tmp_path):
@@ -100,7 +200,7 @@ def test_formats_that_ship_are_whole(name):
         ({"columns": SI | {"z": "z"}}, "format has a column 'z'; allowed are t, x, y"),
         ({"columns": SI | {"psi": {"column": "psi", "unit": "gon"}}}, "psi is in 'gon'; allowed are rad, deg"),
         ({"columns": SI | {"psi": 0}}, "column is 0; it must be a name or a number from 1 on"),
-        ({"axes": "up"}, "format axes is 'up'; allowed are NED, ENU"),
+        ({"axes": "up"}, "format axes is 'up'; allowed are 'NED', 'ENU'"),
         ({"skip": -1}, "format skip is -1"),
         ({"separator": "tab"}, "format separator is 'tab'"),
     ],
@@ -116,8 +216,6 @@ def test_wrong_files_are_refused_in_one_line(log, tmp_path):
         Log.load(file)
     with pytest.raises(ValueError, match="there is more than one column 'F_u' for F_u"):
         Log.load(file, Format({name: name for name in SI if name != "F_r"} | {"F_r": "F_u"}))
-    with pytest.raises(ValueError, match="columns are separated by semicolons; give a format"):
-        Log.load(written(tmp_path, table(log), separator=";"))
     with pytest.raises(ValueError, match="the log has no 50 rows without a gap"):
         Log.load(written(tmp_path, {n: x[:40] for n, x in table(log).items()}), Format(SI))
     with pytest.raises(ValueError, match=r"unknown format 'none'; allowed are a .toml file, or one of esso-osaka"):

@@ -15,11 +15,13 @@ from scipy.stats import kstest
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
+from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import in_vehicle_units
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.identification import Log, command, files, identify
+from baselines.identification.axes import ContradictionError
 from baselines.identification.command import PROGRAM, main
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
 from baselines.identification.least_squares import Residuals
@@ -27,7 +29,7 @@ from baselines.identification.linear_fit import regressors
 from baselines.identification.log import joined
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel, WindDrag, wind_load
 from baselines.identification.prediction import constant_velocity, nomoto
-from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
+from baselines.identification.trials import EXAMPLE_ACTUATORS, EXAMPLE_CURRENT, Simulated, Trial, example, recorded
 from baselines.identification.uncertainty import covariance, whiteness
 from baselines.tools.command_line import run
 
@@ -161,10 +163,18 @@ def test_the_vehicle_file_of_the_tutorial_is_that_of_the_command():
 def test_white_residuals_are_told_from_correlated_ones():
     """The p-value is uniform for white noise, and small for errors that last for two rows."""
     rng, starts = np.random.default_rng(2), np.array([0, 250, 500, 750])
-    p_values = [whiteness(rng.standard_normal((1000, 6)), starts) for _ in range(200)]
+
+    def of(errors, seen=None):
+        return Residuals(np.zeros((4, 6)), errors, np.zeros((1000, 6, 0)), seen)
+
+    p_values = [whiteness(of(rng.standard_normal((1000, 6))), starts) for _ in range(200)]
     assert kstest(p_values, "uniform").pvalue > 0.01
     noise = rng.standard_normal((1001, 6))
-    assert whiteness(noise[1:] + noise[:-1], starts) < 1e-10
+    assert whiteness(of(noise[1:] + noise[:-1]), starts) < 1e-10
+    slow = np.ones((1000, 6), dtype=bool)
+    slow[np.arange(1000) % 5 > 0, :2] = False  # two measurements in every fifth row
+    p_values = [whiteness(of(rng.standard_normal((1000, 6)) * slow, slow), starts) for _ in range(200)]
+    assert kstest(p_values, "uniform").pvalue > 0.01
 
 
 def test_forces_per_coefficient_add_up_to_the_equations_of_motion():
@@ -256,6 +266,91 @@ def test_a_log_that_cannot_be_is_refused(log, changes, says):
         Log(table[:, 0], table[:, 1:7], table[:, 7:])
 
 
+def turned(angle):
+    return lambda psi: psi + angle
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"x": np.negative}, "x seems to have the opposite sign; .* x = { column = .x., scale = -1 }"),
+        ({"y": np.negative}, "y seems to have the opposite sign"),
+        ({"psi": np.negative}, "psi seems to have the opposite sign; .* scale = -1 }$"),
+        ({"psi": np.negative, "r": np.negative}, "psi seems to have the opposite sign; .* and r with scale = -1"),
+        ({"u": np.negative}, "turned by 180 degrees"),
+        ({"v": np.negative}, "v has the opposite sign of the sway that positions show"),
+        ({"r": np.negative}, "^r has the opposite sign of the rate of psi"),
+        ({"F_u": np.negative}, "F_u has the opposite sign of the change of u"),
+        ({"F_r": np.negative}, "F_r has the opposite sign of the change of r"),
+        ({"psi": turned(math.pi / 2)}, "turned by -90 degrees; .* offset = 1.5"),
+        ({"psi": turned(-math.pi / 2)}, "turned by 90 degrees"),
+        ({"psi": turned(math.pi)}, "turned by 180 degrees"),
+        ({"psi": turned(0.5)}, r"turned by -2\d degrees; .* offset = 0.[45]"),
+        ({"psi": lambda psi: math.pi / 2 - psi}, "psi seems to have the opposite sign; .* scale = -1, offset = 1.5"),
+        ({"t": lambda t: 1000 * t}, "t looks like ms"),
+    ],
+)
+def test_each_contradiction_of_signs_and_axes_is_named(log, changes, says):
+    """With precise positions, and with those of a receiver with an error of half a metre."""
+    rough = example(PAPER_VEHICLE, EXAMPLE_ACTUATORS, replace(NOISE, position=0.5, velocity=0.05), 4)
+    for one in (log, rough):
+        table = np.column_stack(list(columns(one, **changes).values()))
+        with pytest.raises(ContradictionError, match=says):
+            Log(table[:, 0], table[:, 1:7], table[:, 7:])
+
+
+def test_speeds_along_the_axes_of_the_positions_are_named(log):
+    c, s = np.cos(log.measured[:, 2]), np.sin(log.measured[:, 2])
+    measured = log.measured.copy()
+    measured[:, 3], measured[:, 4] = to_world(log.measured[:, 3], log.measured[:, 4], c, s)
+    with pytest.raises(ContradictionError, match='in a format: velocity = "world"'):
+        replace(log, measured=measured)
+
+
+def test_no_contradiction_is_seen_in_right_logs():
+    """Noise over two decades, currents up to 0.4 m/s, lags up to 1.5 s, speeds over ground and through water."""
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        position, heading, velocity, yaw_rate = np.array([0.01, 0.003, 0.01, 0.001]) * 10 ** rng.uniform(
+            0, [2, 1, 1, 1.5]
+        )
+        current = tuple(rng.uniform(-0.4, 0.4, 2).tolist())
+        plant = Simulated(PAPER_VEHICLE, Actuators(lag=rng.uniform(0, 1.5)), current)
+        log = recorded(plant, Trial(), Sensors(position, heading, velocity, yaw_rate), rng, current)
+        c, s = np.cos(log.measured[:, 2]), np.sin(log.measured[:, 2])
+        through = np.column_stack(to_body(*current, c, s))
+        replace(log, measured=log.measured - np.column_stack((np.zeros((len(c), 3)), through, 0 * c)))
+
+
+def test_a_limit_that_no_command_reaches_is_not_identified():
+    far = Simulated(PAPER_VEHICLE, Actuators(5000.0, 5000.0, lag=0.4), EXAMPLE_CURRENT)
+    log = recorded(far, Trial(300.0, 150.0), NOISE, np.random.default_rng(1), EXAMPLE_CURRENT)
+    fitted = identify(log)
+    assert fitted["F_u_max"].verdict == fitted["F_r_max"].verdict == UNREACHED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("held", [True, False])
+def test_slow_positions_give_intervals_that_hold(held, tmp_path):
+    """Fixes at 5 Hz that are held in rows at 10 Hz, or at 2 Hz with blanks between them."""
+    true = TRUE | dict.fromkeys(COEFFICIENTS, 0.0) | {name: getattr(PAPER_VEHICLE, name) for name in HULL_TRUE}
+    true |= {"F_u_max": 400.0, "F_r_max": 200.0, "lag": 0.4}
+    inside, lags = [], []
+    for seed in range(12):
+        log = example(PAPER_VEHICLE, EXAMPLE_ACTUATORS, NOISE, seed)
+        table, rows = log.table, np.arange(len(log.t))
+        if held:
+            table[:, 1:3] = table[rows // 2 * 2, 1:3]
+        else:
+            table[rows % 5 > 0, 1:3] = np.nan
+        np.savetxt(tmp_path / "log.csv", table, "%.9g", ",", header=",".join(log.columns), comments="")
+        fitted = identify(Log.load(tmp_path / "log.csv"))
+        inside += [e.low <= true[e.name] <= e.high for e in fitted.estimates if true[e.name]]
+        lags.append(fitted["lag"].value)
+    assert np.mean(inside) > 0.85
+    assert np.mean(lags) == pytest.approx(0.4, rel=0.02)
+
+
 def test_logs_of_wrong_shapes_and_axes_and_short_ones_are_refused(log):
     swapped, wind = log.measured[:, [1, 0, 2, 3, 4, 5]], log.measured[1:, :2]
     for columns, says in (
@@ -276,7 +371,7 @@ def test_logs_of_wrong_shapes_and_axes_and_short_ones_are_refused(log):
     ("text", "says"),
     [
         ("", "there is no column 't'; the first line must name t [s], x [m]"),
-        ("t,x,y,psi [deg],u,v,r,F_u,F_r\n", "psi is in [deg]; it must be in [rad]"),
+        ("t,x,y,psi [gon],u,v,r,F_u,F_r\n", "psi is in 'gon'; allowed are rad, deg"),
         ("t,x,y,psi,u,v,r,F_u,F_r\n0,0,0,east,0,0,0,0,0\n", "psi in data row 1 is 'east'; it must be a number"),
     ],
 )

@@ -14,7 +14,7 @@ from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
-from baselines import make_policy, make_residual_vector_env
+from baselines import check_policy, make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
@@ -25,7 +25,7 @@ from baselines.evaluation.cells import drawn
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
-from baselines.evaluation.rollout import rollout
+from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import run_all
 from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
@@ -180,6 +180,62 @@ def test_zip_sees_what_it_saw_in_training(models, tmp_path, model, statistics):
     assert not np.allclose(expected, plain)
     assert fingerprint(str(file)) != before
     assert f"normalised by {tmp_path / statistics}" in caution(str(file))
+
+
+def test_a_policy_file_may_import_files_beside_it(tmp_path):
+    """They count for its fingerprint, directly or not."""
+    (tmp_path / "gains_of_mine.py").write_text("from deeper_gains import GAIN\n")
+    (tmp_path / "deeper_gains.py").write_text("GAIN = 0.25\n")
+    file = tmp_path / "own.py"
+    file.write_text(
+        "import numpy as np\nfrom gains_of_mine import GAIN\n\n\nclass Law:\n"
+        "    def predict(self, observation, *_, **__):\n        return np.full((len(observation), 2), GAIN), None\n"
+    )
+    name = f"{file}:Law"
+    action, _ = make_policy(name).predict(np.zeros((3, 18)))
+    np.testing.assert_array_equal(action, np.full((3, 2), 0.25))
+    before = fingerprint(name)
+    (tmp_path / "deeper_gains.py").write_text("GAIN = 0.5\n")
+    assert fingerprint(name) != before
+
+
+class Summing:
+    """A law with an integral, as it should be or with one of the usual mistakes."""
+
+    def __init__(self, mistake=""):
+        self.mistake, self.sum = mistake, 0.0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        rows = np.atleast_2d(observation)
+        (total,) = state or (np.zeros(len(rows)),)
+        if self.mistake != "never forgets":
+            total = np.where(episode_start, 0.0, total)
+        total = total + rows[:, 0]
+        if self.mistake == "keeps its memory in itself":
+            self.sum = total = self.sum + rows[:, 0].mean()
+        action = np.tanh(0.01 * np.column_stack((total + 0 * rows[:, 0], rows[:, 1])))
+        if self.mistake == "depends on the others":
+            action = action - action.mean(axis=0)
+        if self.mistake == "is too large":
+            action = 1000 * action
+        return (action if observation.ndim == 2 or self.mistake == "is always a batch" else action[0]), (total,)
+
+
+def test_the_check_of_a_policy():
+    for name in ("backstepping", "ekf", "nmpc", "helm"):
+        check_policy(make_policy(name))
+    check_policy(Summing())
+    for mistake, says in {
+        "never forgets": "after episode_start its action is another one than at first",
+        "keeps its memory in itself": "it must forget its memory",
+        "depends on the others": "the action for it alone is another one than among 3",
+        "is too large": r"finite and in \[-1, 1\]",
+        "is always a batch": r"observation of shape \(18,\) the action is .* it must have the shape \(2,\)",
+    }.items():
+        with pytest.raises(PolicyError, match=says):
+            check_policy(Summing(mistake))
+    with pytest.raises(PolicyError, match="a dict has no method predict"):
+        check_policy({})
 
 
 def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):

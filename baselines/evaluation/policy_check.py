@@ -1,0 +1,81 @@
+"""The check of a user's policy before it is evaluated or trained with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.policy import Policy
+from baselines.evaluation.rollout import PolicyError
+
+_VEHICLES, _STEPS = 3, 40
+
+
+def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> None:
+    """Run a policy for a few steps and compare what it does for several vehicles with what it does for each alone.
+
+    It is for policies what `check_env` of Stable-Baselines3 is for environments. A policy with random actions fails.
+
+    Args:
+        policy: an object with `predict(observation, state, episode_start, deterministic)`.
+        scenario: the scenario whose observations it gets, shape (3, 18) each, more with the policy's `preview`.
+
+    Raises:
+        PolicyError: an action is not of shape (N, 2) or (2,), not finite or outside [-1, 1]; the action of a vehicle
+            depends on the others, on the call before, or after `episode_start` on the episode before.
+    """
+    env = gym.make_vec(
+        "auv_gym:UnderactuatedAUVTrack-v0",
+        _VEHICLES,
+        vectorization_mode="vector_entry_point",
+        scenario=scenario,
+        preview=getattr(policy, "preview", ()),
+    )
+    observation, _ = env.reset(seed=0)
+    memory, seen, actions = None, [], []
+    for k in range(_STEPS):
+        action, memory = _called(policy, observation, memory, np.full(_VEHICLES, k == 0))
+        seen.append(observation)
+        actions.append(action)
+        observation, *_ = env.step(action)
+    env.close()
+    again, _ = _called(policy, seen[0], memory, np.ones(_VEHICLES, dtype=bool))
+    _compare(
+        again, actions[0], "after episode_start its action is another one than at first: it must forget its memory"
+    )
+    for i in range(_VEHICLES):
+        memory = None
+        for k, rows in enumerate(seen):
+            action, memory = _called(policy, rows[i : i + 1], memory, np.array([k == 0]))
+            what = f"step {k}, vehicle {i}: the action for it alone is another one than among {_VEHICLES}"
+            _compare(action[0], actions[k][i], f"{what}; memory must be in state, with one row for each vehicle")
+    single, _ = _called(policy, seen[0][0], None, np.array([True]))
+    _compare(single, actions[0][0], "the action for one observation alone, shape (n,), is another one than in a batch")
+
+
+def _called(policy: Policy, observation: Any, memory: Any, first: Any) -> tuple[Any, Any]:
+    """Return the action and the memory of a policy; raise PolicyError if they are not those of one."""
+    if not callable(getattr(policy, "predict", None)):
+        raise PolicyError(f"a {type(policy).__name__} has no method predict")
+    try:
+        action, memory = policy.predict(observation.copy(), memory, first, True)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(
+            f"predict fails for an observation of shape {observation.shape}: {error}; it gets (observation, state, "
+            "episode_start, deterministic) and returns (action, state)"
+        ) from error
+    array, shape = np.asarray(action), (*observation.shape[:-1], 2)
+    if array.shape != shape or not (np.abs(array) <= 1).all():
+        raise PolicyError(
+            f"for an observation of shape {observation.shape} the action is {array.tolist()}; it must have the shape "
+            f"{shape} and be finite and in [-1, 1]"
+        )
+    return array, memory
+
+
+def _compare(action: Any, before: Any, failure: str) -> None:
+    if not np.allclose(action, before, rtol=1e-4, atol=1e-5):
+        raise PolicyError(f"{failure} ({np.asarray(action).tolist()}, before {np.asarray(before).tolist()})")
