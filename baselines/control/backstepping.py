@@ -184,9 +184,10 @@ class Backstepping(Law):
         u_R = terms[U_R] if isinstance(terms, list) else float(terms[U_R].max(initial=0.0))
         if u_R > (most := self.gains[1].max_speed) and "warned" not in vars(self):
             vars(self)["warned"] = True
+            faster = [repr(name) for name, gains in GAINS.items() if gains.max_speed > u_R]
             warnings.warn(
-                f"these gains are stable up to {most:g} m/s, but the reference speed is {u_R:.3g} m/s: "
-                "expect growing oscillations; the gains 'auto', 'robust' and 'normalised' are stable at higher speeds",
+                f"these gains are stable up to {most:g} m/s, but the reference speed is {u_R:.4g} m/s: "
+                f"expect growing oscillations; stable at this speed are the gains {', '.join(faster)}",
                 StabilityWarning,
                 stacklevel=3,
             )
