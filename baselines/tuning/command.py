@@ -17,12 +17,15 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
+from auv_gym.task.policy import Policy
+from baselines.agents.names import PolicyName
 from baselines.gains.loading import adapted_gains, checked_gains, load_gains, recorded_gains, write_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
-from baselines.tuning.objective import TUNABLES, TuningEpisodes, compared, tuning_scenarios
+from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
     TUNING_EPISODES,
@@ -37,18 +40,20 @@ PROGRAM = "auv-gym tune"
 
 @dataclass(frozen=True)
 class Options:
-    """Tune the gains of a controller and write them to baselines/gains/gains.json, with their provenance.
+    """Tune the gains of a controller and write them to runs/tune/NAME-SPEED_RANGE@VEHICLE.json, with their provenance.
 
-    The search starts at the entry "start" of the controller in that file.
-    For another vehicle the search starts at the shipped gains, in the units of the vehicle, and writes to
-    runs/tune/NAME-SPEED_RANGE@VEHICLE.json. Use these gains with make_policy(NAME, vehicle=..., gains=...).
+    The search starts at the entry "start" of the controller in baselines/gains/gains.json, for another vehicle at the
+    shipped gains in the units of the vehicle. Use the result with make_policy(NAME, vehicle=..., gains=...).
+    FILE.py:FACTORY is a controller of your own, whose factory takes its gains as keyword arguments; --start names their
+    initial values.
     Exit status: 0 done, 2 wrong usage.
 
-    Example: auv-gym tune los-pid --speed-range cruise --dry-run
+    Example: auv-gym tune los-pid --speed-range cruise
+    Example: auv-gym tune hand.py:HandPoint --start start.json
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """The controller."""
+    """The controller, or FILE.py:FACTORY."""
     speed_range: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
     """Speed range to tune for."""
     evaluations: int = EVALUATIONS
@@ -56,11 +61,13 @@ class Options:
     episodes: int = TUNING_EPISODES
     """Episodes of each evaluation, a multiple of 16, so that each case has the same number."""
     start: Path | None = None
-    """A file of gains; the search starts at its entry "gains"."""
+    """A JSON file of gains by name, at which the search starts; they may stand in its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""
     dry_run: bool = False
     """Print the result; do not write the file."""
+    ship: bool = False
+    """Write the result to baselines/gains/gains.json instead, in a clone of this repository."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -71,12 +78,13 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     budget = _budget(options)
-    tunable, vehicle_model = TUNABLES[options.name], known_vehicle_model(options.vehicle)
+    tunable, vehicle_model = _tunable(options), known_vehicle_model(options.vehicle)
     in_paper_units = vehicle_model.in_paper_units
-    start = checked(partial(_start, options, in_paper_units))
+    start = checked(partial(_start, options, tunable.names, in_paper_units))
     # refused if the vehicle's fins have no effect at such a low speed
     checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
     factory = partial(tunable.factory, vehicle=in_paper_units.vehicle)
+    checked(partial(factory, dict(start)))
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
@@ -96,14 +104,34 @@ def main(arguments: Sequence[str]) -> int:
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }
     print(json.dumps(record, indent=2))
-    if not options.dry_run:
-        if options.vehicle == PAPER.name:
-            tuned = recorded_gains()["tuned"].get(options.name, {})
-            write_gains("tuned", options.name, {**tuned, options.speed_range: record})
-        else:
-            file = Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
-            write_atomically(file, json.dumps(record, indent=2) + "\n")
+    if options.ship and not options.dry_run:
+        tuned = recorded_gains()["tuned"].get(options.name, {})
+        write_gains("tuned", options.name, {**tuned, options.speed_range: record})
+    elif not options.dry_run:
+        name = options.name.rpartition(":")[2]
+        file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
+        write_atomically(file, json.dumps(record, indent=2) + "\n")
+        print(f"written: {file}")
     return DONE
+
+
+def _tunable(options: Options) -> Tunable:
+    """Return what is to be tuned; raise UsageError for a combination of options that is not possible."""
+    own = PolicyName.of(options.name).kind == "python"
+    if own and options.start is None:
+        raise UsageError(f'{options.name} needs --start FILE.json, the initial gains by name, such as {{"k": 1.5}}')
+    if own and options.vehicle != PAPER.name:
+        raise UsageError(
+            f"--vehicle {options.vehicle}: the gains of {options.name} have no known units, so the search is for the "
+            "vehicle of the paper only"
+        )
+    if options.ship and (own or options.vehicle != PAPER.name):
+        raise UsageError("--ship is for controllers of the package and the vehicle of the paper")
+    return Tunable(partial(_of_file, options.name), ()) if own else TUNABLES[options.name]
+
+
+def _of_file(name: str, gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Policy:
+    return make_policy(name, vehicle, **gains)
 
 
 def known_vehicle_model(vehicle: str) -> VehicleModel:
@@ -120,7 +148,8 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
 
 def _budget(options: Options) -> Budget:
     """Return the budget; raise UsageError if the controller or a number is wrong."""
-    check_words("controller", [options.name], TUNABLES)
+    if PolicyName.of(options.name).kind != "python":
+        check_words("controller", [options.name], TUNABLES)
     cycle = len(tuning_scenarios(options.speed_range, "adverse"))
     if options.episodes < cycle or options.episodes % cycle:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")
@@ -135,12 +164,13 @@ def _budget(options: Options) -> Budget:
     return budget
 
 
-def _start(options: Options, in_paper_units: VehicleModel) -> dict[str, float]:
+def _start(options: Options, names: Sequence[str], in_paper_units: VehicleModel) -> dict[str, float]:
     """Return the initial gains of the search; raise ValueError if they are wrong, OSError if there is no file."""
-    names = TUNABLES[options.name].names
     if options.start is not None:
         record = read_json(options.start)
-        start = checked_gains(record.get("gains") if isinstance(record, dict) else record, names, str(options.start))
+        gains = record.get("gains", record) if isinstance(record, dict) else record
+        known = names or (tuple(gains) if isinstance(gains, dict) else ("names with numbers",))
+        start = checked_gains(gains, known, str(options.start))
     elif in_paper_units == PAPER:
         start = load_gains(options.name, options.speed_range, names, "start")
     else:

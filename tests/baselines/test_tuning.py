@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from baselines.gains import loading as gain_files
-from baselines.gains.loading import load_gains
+from baselines.gains.loading import load_gains, recorded_gains
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.command import main
@@ -111,7 +113,7 @@ def test_all_controllers_have_the_same_budget():
     for name, ranges in record["tuned"].items():
         assert set(ranges) == set(SPEED_RANGES)
         for speed_range, own in ranges.items():
-            assert own["command"] == f"auv-gym tune {name} --speed-range {speed_range}"
+            assert own["command"].removesuffix(" --ship") == f"auv-gym tune {name} --speed-range {speed_range}"
             assert (own["evaluations"], own["episodes"]) == (EVALUATIONS, TUNING_EPISODES), name
             assert own["world"] == TUNABLES[name].world
             assert list(own["gains"]) == list(own["start"]) == list(TUNABLES[name].names)
@@ -124,6 +126,11 @@ def test_the_file_holds_gains_and_provenance(file, tmp_path, monkeypatch):
     arguments = [name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "24"]
     assert main([*arguments, "--dry-run"]) == DONE
     assert json.loads(file.read_text()) == before
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == DONE
+    assert json.loads(file.read_text()) == before
+    assert json.loads(Path(f"runs/tune/{name}-slow@paper.json").read_text())["gains"]
+    arguments.append("--ship")
     assert main(arguments) == DONE
     after = json.loads(file.read_text())
     record = after["tuned"][name].pop("slow")
@@ -134,16 +141,47 @@ def test_the_file_holds_gains_and_provenance(file, tmp_path, monkeypatch):
     assert after == before
     own = tmp_path / "own.json"
     own.write_text(json.dumps({"gains": earlier["gains"]}))
-    assert main([*arguments[:-1], "0", "--start", str(own)]) == DONE
+    assert main([*arguments[:-2], "0", "--ship", "--start", str(own)]) == DONE
     assert load_gains(name, "slow", TUNABLES[name].names) == pytest.approx(earlier["gains"])
 
 
 @pytest.mark.parametrize("name", TUNABLES)
 def test_every_controller_can_be_searched(file, name, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
-    assert main([name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "0"]) == DONE
+    assert main([name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "0", "--ship"]) == DONE
     record = json.loads(file.read_text())["tuned"][name]["slow"]
     assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
+
+
+def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
+    """The gains are keyword arguments of its factory; nothing of the package is written."""
+    monkeypatch.chdir(tmp_path)
+    Path("hand.py").write_text(
+        "import numpy as np\nfrom auv_gym import decode_observation\n\n\nclass HandPoint:\n"
+        "    def __init__(self, k=60.0, d=150.0):\n        self.k, self.d = k, d\n\n"
+        "    def predict(self, observation, *_, **__):\n        o = decode_observation(observation)\n"
+        "        F_u, F_r = o.F_uR - self.k * o.e_x, o.F_rR - 200 * o.psi_e - self.d * o.r_e\n"
+        "        action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=-1)\n"
+        "        return np.clip(action, -1, 1), None\n"
+    )
+    Path("start.json").write_text('{"k": 60, "d": 150}')
+    monkeypatch.setattr(TuningEpisodes, "run", brief)
+    before = recorded_gains()
+    arguments = ["hand.py:HandPoint", "--start", "start.json", "--episodes", "16", "--evaluations", "24"]
+    assert main(arguments) == DONE
+    record = json.loads(Path("runs/tune/HandPoint-cruise@paper.json").read_text())
+    assert list(record["gains"]) == ["k", "d"]
+    assert record["start"] == {"k": 60, "d": 150}
+    assert record["gains"] != record["start"]
+    assert recorded_gains() == before
+    assert make_policy("hand.py:HandPoint", **record["gains"]).k == record["gains"]["k"]
+    Path("start.json").write_text('{"gains": {"K": 60}}')
+    with pytest.raises(UsageError, match=r"HandPoint of hand.py fails: .*unexpected keyword argument 'K'"):
+        main(arguments)
+    with pytest.raises(UsageError, match=r"hand.py:HandPoint needs --start FILE.json, the initial gains by name"):
+        main(["hand.py:HandPoint"])
+    with pytest.raises(UsageError, match=r"gains of hand.py:HandPoint have no known units"):
+        main([*arguments, "--vehicle", "lauv"])
 
 
 def brief(episodes, policy, run=TuningEpisodes.run):
