@@ -82,3 +82,13 @@ def test_quadratic_damping_that_is_accepted_takes_power(terms):
 def test_more_mass_in_sway_than_in_surge(m22):
     with pytest.raises(ValueError, match=rf"m22 = {m22} kg is not above m11 = 215.0 kg"):
         replace(PAPER_VEHICLE, m22=m22)
+
+
+def test_what_simulators_leave_out_is_answered_with_what_to_do():
+    """Purely quadratic drag, no added mass, and the largest ship."""
+    with pytest.raises(ValueError, match=r"d22 is 0.0; .* purely quadratic can be linearised at a speed v"):
+        replace(PAPER_VEHICLE, d22=0.0)
+    with pytest.raises(ValueError, match=r"m22 = 215.0 kg is not above .* leave added mass out, such as Gazebo"):
+        replace(PAPER_VEHICLE, m22=215.0)
+    tanker = Vehicle(m11=3.3e8, m22=5.6e8, m33=2.9e12, d11=1e6, d22=1e7, d33=1e11, speed=8.0)
+    assert tanker.length > 50
