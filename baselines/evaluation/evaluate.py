@@ -14,7 +14,7 @@ from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.report.columns import line, record
 from baselines.evaluation.report.html import report_html
-from baselines.evaluation.report.numbers import Entry, Result, compare, pool
+from baselines.evaluation.report.numbers import Entry, Result, Trained, compare, over_seeds, pool
 from baselines.evaluation.report.terminal import print_report, shown
 from baselines.evaluation.request import Request
 from baselines.evaluation.results import ResultFile
@@ -38,8 +38,9 @@ def evaluate(request: Request) -> int:
         done = request.ordered(_run(request))
         everything = request.ordered([*request.earlier, *done])
         results, pooled = compare(everything), pool(everything)
+        trained = over_seeds(everything, request.trainings)
         texts = {
-            "results.json": results_json(request, results, pooled),
+            "results.json": results_json(request, results, pooled, trained),
             "results.csv": results_csv(results),
             "report.html": report_html(request, results, pooled),
         }
@@ -53,7 +54,7 @@ def evaluate(request: Request) -> int:
     except OSError as error:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
         return FAILED
-    print_report(results, pooled, out)
+    print_report(results, pooled, out, trained)
     return FAILED if any(run.error for run in done) else DONE
 
 
@@ -77,7 +78,9 @@ def _run(request: Request) -> list[Run]:
     return done
 
 
-def results_json(request: Request, results: Sequence[Result], pooled: Sequence[Entry]) -> str:
+def results_json(
+    request: Request, results: Sequence[Result], pooled: Sequence[Entry], trained: Sequence[Trained] = ()
+) -> str:
     """Return the text of results.json: strict JSON, with null for numbers that are not finite."""
     content: dict[str, Any] = {
         "suite": request.suite,
@@ -97,6 +100,7 @@ def results_json(request: Request, results: Sequence[Result], pooled: Sequence[E
             for result in results
         ],
         "pooled": [{"policy": entry.policy, "speed_range": entry.place, **record(entry)} for entry in pooled],
+        "trainings": [asdict(one) for one in trained],
     }
     return json_text(content)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution, load_effects
+from baselines.agents.names import agent_folder
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import RecordedRuns, recorded_runs, speed_ranges_of
@@ -48,6 +50,7 @@ class Request:
     workers: Workers
     earlier: tuple[Run, ...] = ()  # recorded runs to compare with
     notes: tuple[str, ...] = ()  # remarks on the results
+    trainings: tuple[tuple[str, ...], ...] = ()  # the policies from several seeds of one training, for each training
 
     @classmethod
     def of(cls, options: Options, command: str = "") -> Request:
@@ -58,7 +61,9 @@ class Request:
         """
         _check(options)
         import_effects(options.effects)
-        names = checked_policies((EXPERT, *options.policy))
+        named = [seeds_of(name) or (name,) for name in options.policy]
+        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)))
+        trainings = tuple(seeds for seeds in named if len(seeds) > 1)
         suite = options.suite if options.scenario or options.mission else options.suite or DEFAULT_SUITE
         frozen = suite in list_suites()
         cells, digest, recorded = _frozen(suite or "", options) if frozen else _drawn(suite, options)
@@ -76,7 +81,20 @@ class Request:
         pairs = ((name, cell) for cell in cells for name in names if cell.scenario.name not in untrained[name])
         checked_folder(options.out)
         workers = Workers(options.jobs or DEFAULT_JOBS)
-        return cls(options, command, suite, frozen, digest, cells, names, tuple(pairs), workers, earlier, tuple(notes))
+        return cls(
+            options,
+            command,
+            suite,
+            frozen,
+            digest,
+            cells,
+            names,
+            tuple(pairs),
+            workers,
+            earlier,
+            tuple(notes),
+            trainings,
+        )
 
     def ordered(self, runs: Sequence[Run]) -> list[Run]:
         """Return runs cell by cell, and in each cell in the order of the policies."""
@@ -173,6 +191,13 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
         raise UsageError(f"{name}: the scenario's name {scenario.name!r} cannot be printed; choose another one")
     checked(partial(make_env, scenario))
     return scenario
+
+
+def seeds_of(name: str) -> tuple[str, ...]:
+    """Return the folders with the agents of all seeds of a training, () if it has only one or none."""
+    folder = Path(name)
+    agents = folder.glob("seed-*/agent/agent.json") if agent_folder(name) is None and folder.is_dir() else ()
+    return tuple(sorted((str(one.parents[1]) for one in agents), key=lambda one: (len(one), one)))
 
 
 def checked_policies(names: Sequence[str]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from baselines import check_policy, make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
+from baselines.agents.names import SHIPPED_FOLDER
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.evaluation import command as evaluation
@@ -236,6 +237,28 @@ def test_the_check_of_a_policy():
             check_policy(Summing(mistake))
     with pytest.raises(PolicyError, match="a dict has no method predict"):
         check_policy({})
+
+
+def test_all_seeds_of_a_training_are_evaluated_together(tmp_path, monkeypatch, capsys):
+    """Their mean is that of the table, by hand."""
+    monkeypatch.chdir(tmp_path)
+    agents = "helm-any", "ppo-cruise", "apg-cruise"
+    for seed, name in zip((2, 10, 3), agents, strict=True):
+        shutil.copytree(SHIPPED_FOLDER / name, Path("runs/x", f"seed-{seed}", "agent"))
+    arguments = ["--policy", "runs/x", "--scenario", "cruise-calm", "cruise-current", "--episodes", "3"]
+    assert evaluation.main([*arguments, "--jobs", "1", "--out", "out"]) == 0
+    content = json.loads(Path("out/results.json").read_text(encoding="utf-8"))
+    (training,) = content["trainings"]
+    assert training["policies"] == [f"runs/x/seed-{seed}" for seed in (2, 3, 10)]
+    errors = {(r["policy"], r["scenario"]): r["steady_rmse_m"]["mean"] for r in content["results"]}
+    cases = "cruise-calm", "cruise-current"
+    ratios = np.array([[errors[p, c] / errors["backstepping", c] for c in cases] for p in training["policies"]])
+    assert training["to_expert"]["mean"] == pytest.approx(np.exp(np.log(ratios.mean(axis=0)).mean()), rel=1e-6)
+    assert training["middle"] == pytest.approx(np.exp(np.log(ratios).mean(axis=1)).mean(), rel=1e-6)  # of three: all
+    low, high = training["to_expert"]["ci95"]
+    assert low < training["to_expert"]["mean"] < high
+    out = capsys.readouterr().out
+    assert f"runs/x, 3 seeds, cruise: {training['to_expert']['mean']:.3f} (" in out
 
 
 def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import trim_mean
 
 from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
@@ -24,6 +26,7 @@ from baselines.evaluation.score import (
     error_cap,
     in_paper_metres,
     paired,
+    relative_error,
     score,
     speed_range_of,
     unit_of,
@@ -62,6 +65,34 @@ class Result:
 
     run: Run
     entry: Entry
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The agents from several training seeds, in the scenarios of a speed range, or in another scenario."""
+
+    policies: tuple[str, ...]  # one for each seed
+    place: str
+    to_expert: Score  # geometric mean over scenarios of the error over the expert's; interval over seeds and episodes
+    middle: float  # interquartile mean of the ratios of the single seeds
+
+
+def over_seeds(runs: Sequence[Run], trainings: Sequence[tuple[str, ...]]) -> list[Trained]:
+    """Return the results of trainings with several seeds; places in which a seed has not run are left out."""
+    measures, results = measures_of(runs), []
+    places: dict[str, list[str]] = {}
+    for name in measures:
+        places.setdefault(speed_range_of(name) or name, []).append(name)
+    for policies, (place, names) in itertools.product(trainings, places.items()):
+        if any(policy not in measures[name] for policy in (EXPERT, *policies) for name in names):
+            continue
+        every = [paired(*(measures[name][policy] for policy in (EXPERT, *policies))) for name in names]
+        errors = [np.array([capped(m, error_cap(n)) for m in row]) for n, row in zip(names, every, strict=True)]
+        experts, agents = [rows[0] for rows in errors], [rows[1:] for rows in errors]
+        each = [relative_error(experts, [rows[k] for rows in agents]).mean for k in range(len(policies))]
+        middle = float(trim_mean(each, 0.25))
+        results.append(Trained(policies, place, relative_error(experts, agents), middle))
+    return results
 
 
 def compare(runs: Sequence[Run]) -> list[Result]:

@@ -14,9 +14,9 @@ from rich.table import Table
 
 from baselines.evaluation.cells import Cell
 from baselines.evaluation.report.columns import Column, ranked, used
-from baselines.evaluation.report.numbers import Entry, Result, recordings
+from baselines.evaluation.report.numbers import Entry, Result, Trained, recordings
 from baselines.evaluation.runner import STEP_LIMIT, Run, runs
-from baselines.evaluation.score import FULL_INFORMATION, SCALE
+from baselines.evaluation.score import EXPERT, FULL_INFORMATION, SCALE, interval_text
 from baselines.tools.workers import Workers
 
 _WIDTH = 200  # [characters] width of tables without a terminal
@@ -60,13 +60,22 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, width=_WIDTH)
 
 
-def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Path) -> None:
+def print_report(
+    results: Sequence[Result], pooled: Sequence[Entry], folder: Path, trained: Sequence[Trained] = ()
+) -> None:
     """Print the tables, and warnings and failures on stderr."""
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     shown = [r for r in results if r.run.recorded is None or r.run.policy in FULL_INFORMATION]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
     if any(entry.score for entry in pooled):
         out.print(entries_table("All cases of a speed range together", "speed range", pooled, out))
+    for one in trained:
+        line = (
+            f"{Path(one.policies[0]).parent}, {len(one.policies)} seeds, {one.place}: {one.to_expert.mean:.3f} "
+            f"({interval_text(one.to_expert)}) times the error of {EXPERT}, interval over seeds and episodes; "
+            f"interquartile mean of the seeds {one.middle:.3f}"
+        )
+        out.print(line, soft_wrap=True, markup=False)
     if when := recordings(results):
         more = "; case by case in report.html" if len(shown) < len(results) else ""
         out.print(f"* recorded, not run now: {when}{more}", soft_wrap=True, markup=False)
