@@ -15,7 +15,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 for variable in ("SDL_AUDIODRIVER", "SDL_VIDEODRIVER"):
     os.environ.setdefault(variable, "dummy")
 
-OPTIONAL = ("casadi", "onnxruntime", "playwright", "pygame", "stable_baselines3", "torch")
+OPTIONAL = ("casadi", "distributed", "onnxruntime", "playwright", "pygame", "stable_baselines3", "torch")
 """Libraries of extras: tests that import one are left out where it is not installed, as with the oldest versions."""
 MISSING = [name for name in OPTIONAL if importlib.util.find_spec(name) is None]
 IMPORTS_MISSING = re.compile(rf"^(?:import|from) (?:{'|'.join(MISSING) or '(?!)'})\b", re.MULTILINE)

@@ -51,6 +51,8 @@ ELSEWHERE = {
     r"git clone .*": "needs the network",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"auv-gym --help": "test_package.py::test_the_command",
+    r"(dask|auv-gym) .*(scheduler.json).*": "test_cluster.py",
+    r"auv-gym evaluate --policy runs/train/storm .*": "test_user_policies.py::test_all_seeds_of_a_training_...",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
     r"auv-gym train .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
     r"auv-gym train.*": "test_training.py::test_documented_commands_run",

@@ -125,8 +125,9 @@ def test_messages_of_missing_extras(monkeypatch, tmp_path):
     assert installation.install("eval", "render") == f"pip install -e '{package.ROOT}[eval,render]'"
     monkeypatch.setattr(installation, "ROOT", tmp_path)
     git = '{"url": "https://x/y.git", "vcs_info": {"vcs": "git", "commit_id": "12ab"}}'
+    kind = type(metadata.distribution("auv-gym"))  # that of the backport, if another library has imported it
     for source, origin in ((None, ""), (git, " @ git+https://x/y.git@12ab")):
-        monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda *_, text=source: text)
+        monkeypatch.setattr(kind, "read_text", lambda *_, text=source: text)
         assert installation.install("train") == f"pip install 'auv-gym[train]{origin}'"
 
 

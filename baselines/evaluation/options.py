@@ -45,11 +45,13 @@ class Options:
     """Seed of the first episode; episode i has seed + i, the same for all policies."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """A Dask scheduler, by its address or its file, whose workers run instead of --jobs, see docs/many-runs.md."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
     step_limit: float = 0.1
     """Largest mean time of a policy for one action, in seconds; a slower policy fails."""
     resume: bool = False
     """Use the finished runs of an interrupted evaluation in the folder. A run is repeated if the policy's file or the
-    simulator has changed since, or if it was too slow for --step-limit. Files that a policy's file imports or reads are
-    not checked; of a program, the files that its command names are."""
+    simulator has changed since, or if it was too slow for --step-limit. Of what a policy's file imports, files beside
+    it are checked; of a program, the files that its command names."""

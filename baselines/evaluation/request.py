@@ -26,7 +26,7 @@ from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import list_policies, make_policy
 from baselines.tools.command_line import UsageError, checked, checked_folder, printable
-from baselines.tools.workers import DEFAULT_JOBS, Workers
+from baselines.tools.workers import Workers
 
 DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
 """The scenarios of each suite whose episodes are drawn from the seed; all other suites are frozen."""
@@ -80,7 +80,7 @@ class Request:
                 notes.append(f"{name} was trained for {' and '.join(ranges)} scenarios{rest}")
         pairs = ((name, cell) for cell in cells for name in names if cell.scenario.name not in untrained[name])
         checked_folder(options.out)
-        workers = Workers(options.jobs or DEFAULT_JOBS)
+        workers = Workers.of(options.jobs, options.cluster)
         return cls(
             options,
             command,

@@ -1,9 +1,11 @@
-"""Runs tasks in this process or in parallel worker processes."""
+"""Runs tasks in this process, in parallel worker processes, or on the workers of a cluster."""
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,37 +16,42 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any
 
 import joblib
 from joblib.externals.loky.backend import resource_tracker as resource_tracker_of_joblib
+from threadpoolctl import threadpool_limits
 
+from auv_gym.installation import install
 from baselines.tools.command_line import WorkerError
 
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # number of parallel tasks
+_ANSWER = 30  # [s] in which a scheduler and a worker of a cluster must answer
 WATCH = 0.5  # [s] interval at which a worker process checks that its parent still runs
 
 
 @dataclass(frozen=True)
 class Workers:
-    """The number of tasks that run in parallel."""
+    """Where tasks run in parallel."""
 
-    jobs: int = 1
+    jobs: int = 1  # processes of this machine
+    cluster: str = ""  # address or file of a Dask scheduler whose workers run the tasks instead; "": none
 
     @classmethod
-    def of(cls, jobs: int | None) -> Workers:
-        """Return the workers for a value of the option --jobs; None: `DEFAULT_JOBS`.
+    def of(cls, jobs: int | None, cluster: str | None = None) -> Workers:
+        """Return the workers for values of the options --jobs, None: `DEFAULT_JOBS`, and --cluster.
 
         Raises:
             ValueError: it is below 1.
         """
         if jobs is not None and jobs < 1:
             raise ValueError(f"--jobs is {jobs}; it must be 1 or more")
-        return cls(jobs or DEFAULT_JOBS)
+        return cls(jobs or DEFAULT_JOBS, cluster or "")
 
     def each_of(self, tasks: int) -> int:
         """Return the number of processes for each of some parallel tasks, at least 1: its own process is included."""
-        return max(1, self.jobs // max(1, tasks))
+        return 1 if self.cluster else max(1, self.jobs // max(1, tasks))
 
     def results(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield the result of the function for each task's arguments, in the order of completion.
@@ -53,10 +60,13 @@ class Workers:
         ends. A terminal sends Ctrl-C to all processes; only the parent handles it.
 
         Raises:
-            WorkerError: a worker process ended unexpectedly; its task must be run again.
+            WorkerError: a worker process ended unexpectedly; its task must be run again. On a cluster another worker
+                runs it; the error is that no scheduler or no suitable worker answers, or that a task ends each worker.
         """
         jobs = min(self.jobs, len(tasks))
-        if jobs <= 1:
+        if self.cluster:
+            yield from _on_cluster(function, tasks, self.cluster)
+        elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
             yield from _in_parallel(function, tasks, jobs)
@@ -75,6 +85,43 @@ def _in_parallel(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]],
                 found.throw(interrupt)  # garbage collection would end the workers too, but with a warning
             raise
         yield from found
+
+
+def _on_cluster(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], cluster: str) -> Iterator[Any]:
+    """Yield the results of the workers of a Dask scheduler; the task of a worker that has gone runs on another one."""
+    try:
+        dask: Any = importlib.import_module("distributed")
+    except ImportError as error:
+        raise WorkerError(f"--cluster needs Dask: {install('cluster')}") from error
+    where = {"scheduler_file": cluster} if Path(cluster).is_file() else {"address": cluster}
+    try:
+        client = dask.Client(**where, timeout=_ANSWER, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise WorkerError(f"no Dask scheduler answers at {cluster}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_ANSWER)
+        except TimeoutError as error:
+            raise WorkerError(f"the Dask scheduler at {cluster} has no workers; start some: dask worker") from error
+        if most := [n for n in client.nthreads().values() if n > 1]:
+            raise WorkerError(f"a Dask worker has {most[0]} threads; start each with --nthreads 1, and --nworkers N")
+        place = tuple(sys.path), str(Path.cwd())
+        calls = [client.submit(_remote, *place, pickle.dumps((function, task)), pure=False) for task in tasks]
+        for call in dask.as_completed(calls, loop=client.loop):
+            try:
+                yield call.result()
+            except dask.KilledWorker as error:
+                raise WorkerError(f"a task has ended several Dask workers, perhaps out of memory: {error}") from error
+            call.release()
+
+
+def _remote(path: Sequence[str], folder: str, task: bytes) -> Any:
+    """Run a task in a worker of a cluster, which has the folders of the caller, with one thread."""
+    sys.path[:] = [*dict.fromkeys((*path, *sys.path))]
+    os.chdir(folder)
+    with threadpool_limits(1):
+        function, arguments = pickle.loads(task)  # after the path is known, since it imports the user's effects
+        return function(*arguments)
 
 
 class ProcessObjects:

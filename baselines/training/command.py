@@ -75,6 +75,8 @@ class Options:
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes for several seeds, or for the groups of a single training of apg, one thread each.
     Default: 2, or 1 on a single processor."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """A Dask scheduler, by its address or its file, whose workers run instead of --jobs, see docs/many-runs.md."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Control steps to train for, summed over vehicles. Default: from the hyper-parameters."""
     hyperparameters: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -108,7 +110,7 @@ def checked_request(options: Options, command: str = "") -> TrainingRequest:
     Raises:
         UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
     """
-    workers = checked(partial(Workers.of, options.jobs))
+    workers = checked(partial(Workers.of, options.jobs, options.cluster))
     import_effects(options.effects)
     configs = checked(partial(configurations, options))
     out = options.out or Path("runs/train") / _name(options)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import trim_mean
+from scipy import stats
 
 from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
@@ -90,7 +90,7 @@ def over_seeds(runs: Sequence[Run], trainings: Sequence[tuple[str, ...]]) -> lis
         errors = [np.array([capped(m, error_cap(n)) for m in row]) for n, row in zip(names, every, strict=True)]
         experts, agents = [rows[0] for rows in errors], [rows[1:] for rows in errors]
         each = [relative_error(experts, [rows[k] for rows in agents]).mean for k in range(len(policies))]
-        middle = float(trim_mean(each, 0.25))
+        middle = float(stats.trim_mean(each, 0.25))
         results.append(Trained(policies, place, relative_error(experts, agents), middle))
     return results
 
