@@ -130,7 +130,8 @@ def sensors(choose):
     noise = {"position": (0, 1), "heading": (0, 0.1), "velocity": (0, 0.1), "yaw_rate": (0, 0.05)}
     intervals = {f"{name}_bias": (-high, high) for name, (_, high) in noise.items()} | {"outage_time": (0, 10)}
     fields = some(choose, intervals, **noise, outages=(0, 60), low_pass=(0.05, 10))
-    return Sensors(**fields, reckoning=either(choose, lambda: reckoning(choose)))
+    levels = {name: interval(choose, 1e-4, high) for name, (_, high) in noise.items() if choose.of((False, True))}
+    return Sensors(**fields | levels, reckoning=either(choose, lambda: reckoning(choose)))
 
 
 def reckoning(choose):

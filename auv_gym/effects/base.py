@@ -171,7 +171,7 @@ class Effect:
         own = [one for one in scenario.effects if type(one) is cls]
         if not own or not cls.Inputs._fields:
             return None
-        rng = np.random.default_rng([episode.noise_seed, 2**32 + _number_of(cls)])
+        rng = np.random.default_rng([episode.noise_seed, 2**32 + _number_of(cls.name)])
         times = scenario.control_dt * np.arange(len(table), dtype=np.float64)
         rows = np.asarray(own[0].inputs(cls.Constants(*cls.constants(scenario, episode)), times, rng))
         expected = len(cls.Inputs._fields) - cls.normals, len(table)
@@ -307,13 +307,13 @@ def source_of(cls: type[Effect]) -> str:
         return ""
 
 
-def uniform_of(cls: type[Effect], seeds: Any) -> Uniform:
-    """Return the uniform stream of an effect in the episode of a noise seed, or of N seeds, shape (N,).
+def uniform_of(name: str, seeds: Any) -> Uniform:
+    """Return the uniform stream of an effect by its name in the episode of a noise seed, or of N seeds, shape (N,).
 
     It is the generator SplitMix64 (G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom number
     generators", OOPSLA 2014), and depends on seed and name only: an effect changes no other number of an episode.
     """
-    state = np.atleast_1d(np.asarray(seeds, dtype=np.uint64)) ^ np.uint64(_number_of(cls) << 32)
+    state = np.atleast_1d(np.asarray(seeds, dtype=np.uint64)) ^ np.uint64(_number_of(name) << 32)
 
     def uniform() -> Number:
         nonlocal state
@@ -326,8 +326,8 @@ def uniform_of(cls: type[Effect], seeds: Any) -> Uniform:
     return uniform
 
 
-def _number_of(cls: type[Effect]) -> int:
-    return zlib.crc32(cls.name.encode())
+def _number_of(name: str) -> int:
+    return zlib.crc32(name.encode())
 
 
 class Places(NamedTuple):

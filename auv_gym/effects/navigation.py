@@ -184,7 +184,8 @@ class DeadReckoning(_Fixes):
         if (reckoning := episode.reckoning) is None:
             return None
         sensors, dt, instants = scenario.sensors, scenario.control_dt, len(table)
-        fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
+        fix_filter = sensors.fix_filter(scenario.noise_of(episode), dt, scenario.duration)
+        rng = np.random.default_rng([episode.noise_seed, 3])
         speeds = np.hypot(table[:, 3], table[:, 4])
         gains = _fix_gains(fixes(episode.outages, dt, instants), reckoning, fix_filter, dt, speeds)
         return np.array((gains, heading_errors(reckoning.drift, sensors.reckoning.walk, dt, instants, rng)))

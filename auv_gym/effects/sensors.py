@@ -11,24 +11,28 @@ import numpy as np
 from auv_gym.effects.base import At, Effect, Measured
 from auv_gym.effects.navigation import FixFilter, RandomReckoning
 from auv_gym.physics.dynamics import State
-from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
+from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, draw_log, mean_square
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+
+NOISES = ("position", "heading", "velocity", "yaw_rate")
+"""Names of the levels of the noise."""
 
 
 @dataclass(frozen=True)
 class Sensors:
     """Errors of the six measurements x, y, psi, u, v, r; the velocities are over ground.
 
-    Noise is white: independent in each control step. A bias is drawn once an episode for each measurement. During an
-    outage of the position fix, x and y keep their last measured values. With `reckoning`, position fixes are rare:
-    they have the errors of x and y, dead reckoning from measured heading and velocities gives the position between
-    them, and fixes within an outage are omitted.
+    Noise is white: independent in each control step. Its level in an interval is drawn once an episode, with a uniform
+    logarithm, since instruments differ by orders of magnitude. A bias is drawn once an episode for each measurement.
+    During an outage of the position fix, x and y keep their last measured values. With `reckoning`, position fixes are
+    rare: they have the errors of x and y, dead reckoning from measured heading and velocities gives the position
+    between them, and fixes within an outage are omitted.
     """
 
-    position: float = 0.0  # [m] standard deviation of the noise on x and on y
-    heading: float = 0.0  # [rad] on psi
-    velocity: float = 0.0  # [m/s] on u and on v
-    yaw_rate: float = 0.0  # [rad/s] on r
+    position: Interval = 0.0  # [m] standard deviation of the noise on x and on y
+    heading: Interval = 0.0  # [rad] on psi
+    velocity: Interval = 0.0  # [m/s] on u and on v
+    yaw_rate: Interval = 0.0  # [rad/s] on r
     position_bias: Interval = 0.0  # [m]
     heading_bias: Interval = 0.0  # [rad]
     velocity_bias: Interval = 0.0  # [m/s]
@@ -39,8 +43,11 @@ class Sensors:
     low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
 
     def __post_init__(self) -> None:
-        for name in ("position", "heading", "velocity", "yaw_rate"):
-            check_number(f"sensors {name}", getattr(self, name), 0, 1e3)
+        for name in NOISES:
+            level = getattr(self, name)
+            check_interval(f"sensors {name}", level, 0, 1e3)
+            if isinstance(level, tuple) and not level[0] > 0:
+                raise ValueError(f"sensors {name} is {level!r}; its logarithm is uniform, so low must be positive")
             check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
         check_number("sensors outages", self.outages, 0, 60)
         check_interval("sensors outage_time", self.outage_time, 0, 1e4)
@@ -51,8 +58,21 @@ class Sensors:
 
     @property
     def noise(self) -> State:
-        """Standard deviations of the six measurements."""
-        return (self.position, self.position, self.heading, self.velocity, self.velocity, self.yaw_rate)
+        """Standard deviations of the six measurements; the geometric mean of an interval."""
+        return self._noise(lambda: 0.5)
+
+    @property
+    def draws_noise(self) -> bool:
+        """Whether a level of the noise differs from episode to episode."""
+        return any(isinstance(getattr(self, name), tuple) for name in NOISES)
+
+    def draw_noise(self, uniform: Uniform) -> State:
+        """Return the standard deviations of the six measurements in an episode."""
+        return self._noise(uniform)
+
+    def _noise(self, uniform: Uniform) -> State:
+        position, heading, velocity, yaw_rate = (draw_log(getattr(self, name), uniform) for name in NOISES)
+        return position, position, heading, velocity, velocity, yaw_rate
 
     def draw_bias(self, uniform: Uniform) -> State:
         """Return one bias for each of the six measurements."""
@@ -66,10 +86,16 @@ class Sensors:
         begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
         return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
 
-    def fix_filter(self, dt: float, duration: float) -> FixFilter:
-        """Return the filter of the position fixes, for control periods of dt [s] and an episode's duration [s]."""
+    def fix_filter(self, noise: State, dt: float, duration: float) -> FixFilter:
+        """Return the filter of the position fixes for an episode.
+
+        Args:
+            noise: standard deviations of the six measurements.
+            dt: control period [s].
+            duration: of the episode [s].
+        """
         drift = self.reckoning.mean_square_drift(self.heading_bias, duration) if self.reckoning else 0.0
-        return FixFilter(self.position, drift, mean_square(self.velocity_bias), self.velocity**2 * dt)
+        return FixFilter(noise[0], drift, mean_square(self.velocity_bias), noise[3] ** 2 * dt)
 
     def filter_gain(self, dt: float) -> float:
         """Return the weight of a new measurement in the low-pass filter, for a control period of dt [s]."""

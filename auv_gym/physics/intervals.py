@@ -26,6 +26,15 @@ def draw(interval: Interval, uniform: Uniform) -> Number:
     return interval
 
 
+def draw_log(interval: Interval, uniform: Uniform) -> Number:
+    """Return the fixed value, or a number from the interval whose logarithm is uniform; both use one number."""
+    u = uniform()
+    if isinstance(interval, tuple):
+        low, high = interval
+        return low * by_library(math.exp)(math.log(high / low) * u)
+    return interval
+
+
 def signed(value: Number, uniform: Uniform) -> Number:
     """Return a value with either sign."""
     return value * (1 - 2 * (uniform() >= 0.5))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -256,5 +256,9 @@ and O. Egeland, "Time-varying exponential stabilization of the position and atti
 underwater vehicle", IEEE Trans. Automatic Control 44(1):112-115, 1999. The paper's printed results fix every
 parameter but m33, which only its figures depend on."""
 
-VEHICLES = {"paper": PAPER_VEHICLE}
+PAPER_2007 = replace(PAPER_VEHICLE, X_uu=100.0, Y_vv=200.0, N_rr=100.0)
+"""The vehicle of the paper with quadratic drag, as in public codes that follow F. Repoulias and E. Papadopoulos,
+"Planar trajectory planning and tracking control design for underactuated AUVs", Ocean Engineering 34, 2007. The text of
+that article was not at hand, so no number of it is claimed."""
+VEHICLES = {"paper": PAPER_VEHICLE, "paper-2007": PAPER_2007}
 """Vehicles by name: add an entry here to use it as `gym.make(..., vehicle=NAME)`."""

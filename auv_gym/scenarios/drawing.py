@@ -56,7 +56,7 @@ class Drawing:
         most = DRAWS - int(first.max())
         rows = self._numbers[members[:, None], first[:, None] + np.arange(most)]
         episode = self._scenario.episode(Line.member(self._speed[members]), iter(rows.T.copy()).__next__, 0)
-        return self._scenario.with_effects(episode, np.array(self.seeds, dtype=np.uint64)[members])
+        return self._scenario.completed(episode, np.array(self.seeds, dtype=np.uint64)[members])
 
     def single(self, members: Indices) -> list[Path]:
         """Return the path of each of these episodes."""

@@ -38,6 +38,7 @@ class Episode:
     outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of each outage of position fixes
     faults: tuple[Fault, ...] = ()  # of actuators and measurements
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
+    noise: State | None = None  # standard deviations of the measurements; None: those of the scenario
     effects: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # names and numbers of the effects of `Scenario.effects`
 
     def initial_state(self, reference: Sequence[float]) -> State:

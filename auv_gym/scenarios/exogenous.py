@@ -277,8 +277,8 @@ class ExogenousInputs:
             tables: their reference tables, see `load`.
             noise_seeds: their noise seeds.
         """
-        noise, current, dt = scenario.sensors.noise, episodes.current, scenario.control_dt
-        first = MEASUREMENT_NORMALS.start if any(noise) else GUSTS.start
+        noise, current, dt = scenario.noise_of(episodes), episodes.current, scenario.control_dt
+        first = MEASUREMENT_NORMALS.start if any(map(np.any, noise)) else GUSTS.start
         end = GUSTS.stop if np.any(current.gust) else MEASUREMENT_NORMALS.stop
         if first < end:
             self._states[indices] = _states_of(noise_seeds, self._code)

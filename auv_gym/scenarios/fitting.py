@@ -13,6 +13,7 @@ from typing import Any
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
@@ -73,7 +74,10 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     units, v = Units.of(vehicle_model.vehicle), vehicle_model.vehicle
     parts = "path", "start", "sensors", "current", "waves", "faults"
     changes = {name: scaled_part(name, getattr(scenario, name), units) for name in parts}
-    path, waves = changes["path"], changes["waves"]
+    path, waves, own = changes["path"], changes["waves"], vehicle_model.sensors
+    if own is not None:  # where the scenario has noise at all
+        noisy = [name for name in NOISES if getattr(scenario.sensors, name)]
+        changes["sensors"] = replace(changes["sensors"], **{name: getattr(own, name) for name in noisy})
     if not isinstance(path, Path):
         turn_rate = units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / 0.12
         changes["path"] = path = replace(path, turn_rate=path.turn_rate * turn_rate)

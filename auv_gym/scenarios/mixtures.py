@@ -43,7 +43,7 @@ def adverse(speed_range: str) -> Scenario:
         sensors=replace(
             noise,
             heading_bias=(-0.06, 0.06),
-            velocity_bias=(-3 * noise.velocity, 3 * noise.velocity),
+            velocity_bias=(-3 * noise.noise[3], 3 * noise.noise[3]),
             yaw_rate_bias=(-0.006, 0.006),
             outages=1.0,
             outage_time=OUTAGE_TIMES[speed_range],

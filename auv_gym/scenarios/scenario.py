@@ -20,7 +20,7 @@ from auv_gym.effects.faults import RandomFaults
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import Sensors
 from auv_gym.effects.waves import RandomWaves
-from auv_gym.physics.dynamics import Load
+from auv_gym.physics.dynamics import Load, State
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
 from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.stiffness import AT_REST, check_step, substeps_for
@@ -214,14 +214,23 @@ class Scenario:
         if self.faults:
             faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
             episode = replace(episode, faults=faults)
-        return self.with_effects(episode, noise_seed)
+        return self.completed(episode, noise_seed)
 
-    def with_effects(self, episode: Episode, noise_seeds: Any) -> Episode:
-        """Return an episode with the numbers of `effects`, or N episodes with rows, for their noise seeds (N,)."""
+    def completed(self, episode: Episode, noise_seeds: Any) -> Episode:
+        """Return an episode with the numbers that have a stream of their own: levels of the noise, and `effects`.
+
+        Also N episodes with rows, for their noise seeds (N,).
+        """
+        if self.sensors.draws_noise:
+            episode = replace(episode, noise=self.sensors.draw_noise(uniform_of("noise", noise_seeds)))
         if not self.effects:
             return episode
-        drawn = ((one.name, one.draw(uniform_of(type(one), noise_seeds))) for one in self.effects)
+        drawn = ((one.name, one.draw(uniform_of(one.name, noise_seeds))) for one in self.effects)
         return replace(episode, effects=tuple(drawn))
+
+    def noise_of(self, episode: Episode) -> State:
+        """Return the standard deviations of the six measurements in an episode."""
+        return self.sensors.noise if episode.noise is None else episode.noise
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
         """Return the episode of a path from a uniform stream, without outages, dead reckoning and faults.

@@ -167,10 +167,10 @@ def test_the_simulation_on_tensors_has_them_with_gradients():
 def test_random_numbers_of_an_effect_are_uniform_and_independent():
     """For many seeds at once as for each seed alone."""
     seeds = np.random.default_rng(0).integers(2**63, size=4000)
-    first, second = (u() for u in [uniform_of(DeadZone, seeds)] * 2)
-    other = uniform_of(TowedBody, seeds)()
+    first, second = (u() for u in [uniform_of(DeadZone.name, seeds)] * 2)
+    other = uniform_of(TowedBody.name, seeds)()
     for i in range(5):
-        assert uniform_of(DeadZone, int(seeds[i]))() == first[i]
+        assert uniform_of(DeadZone.name, int(seeds[i]))() == first[i]
     for numbers in (first, second, other):
         assert np.abs(np.histogram(numbers, 10, (0, 1))[0] / 4000 - 0.1).max() < 0.025
     assert np.abs(np.corrcoef([first, second, other]) - np.eye(3)).max() < 0.06

@@ -160,7 +160,7 @@ def test_gains_in_the_limits():
 
 def test_parameters_of_the_filter_for_the_sensors():
     sensors = dataclasses.replace(INSTRUMENTS, reckoning=RandomReckoning(20.0, 0.03, 0.0, 0.0, 0.0), heading_bias=0.04)
-    assert sensors.fix_filter(0.1, 100.0) == FixFilter(
+    assert sensors.fix_filter(sensors.noise, 0.1, 100.0) == FixFilter(
         1.5, pytest.approx(0.05**2 / 2), pytest.approx(0.005**2 / 3), pytest.approx(0.01**2 * 0.1)
     )
     drifting = RandomReckoning(20.0, 0.0, 0.0, (0.0, 3e-4), 1e-3)

@@ -167,7 +167,7 @@ def test_ships_have_wider_bounds_and_the_same_scales():
 
 
 def test_vehicle_by_name_and_file(tmp_path):
-    assert list_vehicles() == ["paper", *vehicle_names()]
+    assert list_vehicles() == ["paper", "paper-2007", *vehicle_names()]
     assert as_vehicle("lauv") == vehicle_model("lauv").vehicle
     file = tmp_path / "mine.toml"
     file.write_text(
@@ -183,7 +183,7 @@ def test_vehicle_by_name_and_file(tmp_path):
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
-        ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, cybership2, .*lauv"),
+        ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, paper-2007, cybership2, .*lauv"),
         ("slow-storm@lauv", "speeds from 0.056 m/s, but the fins of this vehicle need at least 0.25 m/s"),
         ("storm@lauv", "unknown scenario 'storm@lauv'"),
     ],

@@ -2,19 +2,28 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
+from scipy.stats import kstest
 
 from auv_gym.effects.actuators import Actuators, Response, respond
-from auv_gym.effects.sensors import Sensors, low_pass
+from auv_gym.effects.sensors import NOISES, Sensors, low_pass
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.physics.units import Units
+from auv_gym.planning.paths import Line
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario, Start
+from auv_gym.scenarios.vehicles import VEHICLES_FOLDER, VehicleModel
+from auv_gym.task.observation import decode_observation
 
 INF = math.inf
 forces = st.tuples(st.floats(-400, 400), st.floats(-200, 200))
@@ -97,3 +106,51 @@ def test_effectiveness_reduces_the_force_and_is_not_observed():
     np.testing.assert_allclose(a.force, b.force, rtol=1e-12)
     np.testing.assert_array_equal(seen[13:15], also[13:15])
     np.testing.assert_array_equal(also[15:17], [0.4, -0.2])
+
+
+def test_levels_of_the_noise_are_drawn_with_a_uniform_logarithm():
+    """In the episodes of one and of many vehicles alike, independent of each other, and seen in the measurements."""
+    levels = {"position": (0.01, 1.0), "heading": (0.002, 0.02), "velocity": 0.05}
+    noisy, plain = (
+        Scenario(path=Line(1.0), sensors=Sensors(**fields), start=Start(0.0, 0.0, 0.0)) for fields in (levels, {})
+    )
+    episodes = [noisy.draw(np.random.default_rng(seed)) for seed in range(2000)]
+    x, y, psi, u, v, r = np.array([episode.noise for episode in episodes]).T
+    assert (x == y).all()
+    assert set(u) == set(v) == {0.05}
+    assert set(r) == {0.0}
+    for drawn, (low, high) in ((x, levels["position"]), (psi, levels["heading"])):
+        assert kstest(np.log(drawn / low) / math.log(high / low), "uniform").pvalue > 0.01
+    assert abs(np.corrcoef(np.log(x), np.log(psi))[0, 1]) < 0.06
+    others = [replace(episode, noise=None) for episode in episodes[:5]]
+    assert others == [plain.draw(np.random.default_rng(seed)) for seed in range(5)]  # nothing else is drawn differently
+
+    env = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 64, vectorization_mode="vector_entry_point", scenario=noisy)
+    first, _ = env.reset(seed=11)
+    seen = [first] + [env.step(np.zeros((64, 2), dtype=np.float32))[0] for _ in range(200)]
+    terms = decode_observation(np.array(seen).reshape(-1, 18))
+    speeds, headings = (np.diff(term.reshape(-1, 64), 2, axis=0).std(axis=0) for term in (terms.u_e, terms.psi_e))
+    np.testing.assert_allclose(speeds / math.sqrt(6), 0.05, rtol=0.35)
+    assert headings.max() > 4 * headings.min()
+    alone = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=noisy)
+    np.testing.assert_array_equal(alone.reset(seed=13)[0], first[2])
+    with pytest.raises(
+        ValueError, match=r"position is \(0.0, 1.0\); its logarithm is uniform, so low must be positive"
+    ):
+        Sensors(position=(0.0, 1.0))
+
+
+def test_a_vehicle_with_instruments_has_their_noise_where_a_scenario_is_noisy(tmp_path):
+    """In place of the noise that is scaled by its length; what has no noise stays so."""
+    file = tmp_path / "mine.toml"
+    lauv = (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8")
+    file.write_text(f"{lauv}\n[sensors]\nposition = [0.02, 0.5]\nvelocity = 0.03\n", encoding="utf-8")
+    storm, scaled = (changed(PRESETS["cruise-storm"], name) for name in (str(file), "lauv"))
+    assert (storm.sensors.position, storm.sensors.velocity) == ((0.02, 0.5), 0.03)
+    assert storm.sensors.heading == 0.0
+    assert replace(storm.sensors, **dict.fromkeys(NOISES, 0.0)) == replace(scaled.sensors, **dict.fromkeys(NOISES, 0.0))
+    assert changed(PRESETS["cruise-calm"], str(file)).sensors.noise == (0.0,) * 6
+    assert Scenario.from_dict(storm.to_dict()) == storm
+    units = Units.of(storm.vehicle)
+    paper = VehicleModel.load(file).in_paper_units.sensors
+    assert paper.position == pytest.approx((0.02 / units.length, 0.5 / units.length))

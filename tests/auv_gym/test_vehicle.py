@@ -4,11 +4,13 @@ import math
 import re
 from dataclasses import fields, replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 
@@ -92,3 +94,11 @@ def test_what_simulators_leave_out_is_answered_with_what_to_do():
         replace(PAPER_VEHICLE, m22=215.0)
     tanker = Vehicle(m11=3.3e8, m22=5.6e8, m33=2.9e12, d11=1e6, d22=1e7, d33=1e11, speed=8.0)
     assert tanker.length > 50
+
+
+def test_the_vehicle_with_quadratic_drag_can_be_named_and_planned_for():
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", vehicle="paper-2007")
+    env.reset(seed=0)
+    vehicle = env.unwrapped.scenario.vehicle
+    assert (vehicle.X_uu, vehicle.Y_vv, vehicle.N_rr) == RandomMismatch().quadratic_drag
+    assert vehicle.coefficients[:6] == PAPER_VEHICLE.coefficients[:6]

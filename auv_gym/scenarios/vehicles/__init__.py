@@ -9,12 +9,13 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 from auv_gym.scenarios.records import from_record, guarded, meant, read_table
-from auv_gym.scenarios.vehicles.scaling import actuators_in
+from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled_part
 
 VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
 
@@ -38,6 +39,7 @@ class VehicleModel:
     lag: float | None = None  # [s] approximate lag of the actuators; None: 0.2 s of the paper, scaled
     slowest: float = 0.0  # [m/s] least speed for steering by fins
     shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
+    sensors: Sensors | None = None  # its instruments, whose noise replaces that of scenarios; None: scaled noise
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "assumed"):
@@ -67,6 +69,7 @@ class VehicleModel:
             lag=None if self.lag is None else self.lag / units.time,
             slowest=self.slowest / units.factor(length=1, time=-1),
             shaft=None,
+            sensors=scaled_part("sensors", self.sensors, Units(1 / units.length, 1 / units.time, 1 / units.mass)),
         )
 
     @classmethod
