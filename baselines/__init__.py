@@ -14,6 +14,7 @@ _MODULES = {
     "make_video": "video.video",
     "make_policy": "policies",
     "make_residual_env": "residual_envs",
+    "make_residual_policy": "residual_envs",
     "make_residual_vector_env": "residual_envs",
     "run_episode": "evaluation.episodes",
     "run_episodes": "evaluation.episodes",

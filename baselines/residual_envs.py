@@ -1,8 +1,8 @@
-"""The environments of `UnderactuatedAUVTrackResidual-v0`: the tracking task with corrections to an expert."""
+"""The residual environments, in which an agent corrects an expert, and their command as a policy."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +14,9 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.rendering import PICTURE
+from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Policy, preview_of
+from baselines.agents.corrected import CorrectedPolicy
 from baselines.policies import common_vehicle, make_policy
 from baselines.policy import Privileged
 
@@ -86,6 +88,28 @@ def make_residual_vector_env(
     policy = _expert(expert, common_vehicle(scenarios))
     env = UnderactuatedAUVTrackVectorEnv(num_envs, scenarios, preview=preview_of(policy), **options)
     return VectorResidualAction(env, policy, authority)
+
+
+def make_residual_policy(
+    network: Policy | Callable[[Any], Any],
+    expert: Policy | str = "backstepping",
+    authority: float | Sequence[float] = 0.5,
+    vehicle: VehicleLike | None = None,
+) -> Policy:
+    """Return the policy of the tracking task whose command is that of `UnderactuatedAUVTrackResidual-v0`.
+
+    Args:
+        network: gives the corrections, shape (N, 2), for a batch of observations of the residual environment, shape
+            (N, n): a function of the batch, or an object with the method predict of Stable-Baselines3.
+        expert: as in the residual environment.
+        authority: as in the residual environment.
+        vehicle: for which an expert is made by its name, see `make_policy`. None: the paper's.
+
+    Raises:
+        OSError: the expert's file cannot be read.
+        ValueError: vehicle, expert or authority is invalid.
+    """
+    return CorrectedPolicy(_expert(expert, None if vehicle is None else as_vehicle(vehicle)), network, authority)
 
 
 def _expert(expert: Policy | str, vehicle: Vehicle | None) -> Policy:

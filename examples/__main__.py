@@ -45,6 +45,7 @@ EXAMPLES = {
         "rl_zoo3", ("rl_zoo3",), ("rl_zoo3", "pandas<3", "requests"), alone="its commands need pandas < 3"
     ),
     "torchrl": Example("TorchRL", ("torchrl", "tensordict"), ("torchrl",)),
+    "jax": Example("JAX", ("jax",), ("jax",)),
     "skrl": Example("skrl", ("skrl",), ("skrl",)),
     "tianshou": Example("Tianshou", ("tianshou",), ("tianshou[eval]",), alone="it needs pandas < 3"),
     "rllib": Example("RLlib", ("ray",), ("ray[rllib]",), alone="it pins gymnasium 1.2.2"),

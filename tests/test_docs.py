@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_gym.effects import EFFECTS
 from auv_gym.physics.vehicle import VEHICLES
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.presets import PRESETS
@@ -51,7 +52,7 @@ def name_of(page):
 @pytest.fixture
 def registries():
     """Remove the entries that an example registers."""
-    tables = (PATHS, PRESETS, VEHICLES, POLICIES)
+    tables = (EFFECTS, PATHS, PRESETS, VEHICLES, POLICIES)
     before = [dict(table) for table in tables]
     yield
     for table, entries in zip(tables, before, strict=True):

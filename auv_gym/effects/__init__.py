@@ -6,6 +6,7 @@ from auv_gym.effects.current import Shear
 from auv_gym.effects.faults import Faults
 from auv_gym.effects.mismatch import CrossFlow, Lift
 from auv_gym.effects.navigation import DeadReckoning, Outages
+from auv_gym.effects.reward import FineReward
 from auv_gym.effects.sensors import LowPass
 from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.intervals import Interval
@@ -17,5 +18,5 @@ PACKAGE: tuple[type[Effect], ...] = (
 """The effects of the package, in the order in which they act at a point."""
 
 __all__ = [
-    "EFFECTS", "PACKAGE", "POINTS", "At", "Effect", "Force", "Interval", "Number", "State", "effect",
+    "EFFECTS", "PACKAGE", "POINTS", "At", "Effect", "FineReward", "Force", "Interval", "Number", "State", "effect",
 ]  # fmt: skip

@@ -67,6 +67,7 @@ class At(NamedTuple):
     begins: bool  # whether an episode begins, so nothing is remembered
     channels: tuple[str, ...]  # names of the actuators, in the order of actions and limits
     ns: Namespace
+    squared_error: Number = 0.0  # [m^2] squared distance to the reference after the step, at `reward` and `failed`
 
 
 class Measured(NamedTuple):
@@ -229,6 +230,8 @@ def effect(cls: type[T]) -> type[T]:
             f"field {wrong[0]} of {made.__name__} must be annotated: Annotated[Interval, unit, least, largest, meaning]"
         )
     for name, (unit, *_) in units.items():
+        if name in POINTS:
+            raise TypeError(f"{made.__name__} has a field with the name of a point, {name!r}; choose another name")
         if unit not in POWERS:
             raise TypeError(f"the unit of {made.__name__}.{name} is {unit!r}; it must be one of {_UNITS}")
     made.Constants = namedtuple("Constants", units, defaults=[made.neutral.get(name, 0.0) for name in units])  # type: ignore[misc]

@@ -5,9 +5,12 @@ Axes are x east and y north. Geographic coordinates (WGS 84) become metres from 
 
 from __future__ import annotations
 
+import codecs
 import csv
 import json
 import math
+import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -18,24 +21,34 @@ import numpy as np
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Legs, from_geographic
+from auv_gym.planning.paths.waypoints import WaypointWarning
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER as PAPER_MODEL
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle_model
 
-SUFFIXES = ".csv", ".geojson", ".json", ".plan", ".waypoints"
-"""Files of missions: columns x, y or lat, lon; GeoJSON; plans and waypoint files of QGroundControl."""
+SUFFIXES = ".csv", ".geojson", ".json", ".plan", ".waypoints", ".txt"
+"""Files of missions: columns x, y or lat, lon; GeoJSON; plans and waypoint files of QGroundControl, also as .txt."""
 _NAMES = {
-    "x": ("x", "x_m", "east", "easting", "e"),
-    "y": ("y", "y_m", "north", "northing", "n"),
+    "x": ("x", "east", "easting", "e"),
+    "y": ("y", "north", "northing", "n"),
     "lat": ("lat", "latitude"),
     "lon": ("lon", "long", "lng", "longitude"),
-    "speed": ("speed", "speed_m_s", "v"),
+    "speed": ("speed", "velocity", "vel", "groundspeed"),
 }
-_WAYPOINT, _SPEED = 16, 178  # commands of MAVLink: NAV_WAYPOINT, DO_CHANGE_SPEED
+_HEAD = re.compile(r"(.*?)(?:[\s_]*[\[(]\s*(.*?)\s*[\])]|_([a-z/]+))?")
+"""A heading of a column: "speed [m/s]", "speed (m/s)", "speed_kn", "speed"."""
+_UNITS = {"m": 1.0, "km": 1e3, "deg": 1.0, "m/s": 1.0, "mps": 1.0, "km/h": 1 / 3.6, "kmh": 1 / 3.6}
+_UNITS |= dict.fromkeys(("kn", "kt", "kts", "knots"), 1852 / 3600)
+_WAYPOINT, _SPLINE, _JUMP, _SPEED = 16, 82, 177, 178
+"""Commands of MAVLink: NAV_WAYPOINT, NAV_SPLINE_WAYPOINT, DO_JUMP, DO_CHANGE_SPEED. Others up to 95 navigate too."""
 _TURN_RATE = 0.12
 """Turn rate [rad/s] of a vehicle that has none of its own, for the paper's vehicle."""
+_LONGEST = 10**6  # control steps of an episode
+
+_Places = tuple[list[float], list[float], list[float]]
+"""Latitudes, longitudes [deg], and speeds [m/s] on the way to the next one, nan where there is none."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,7 @@ class Mission:
 
     name: str
     points: tuple[tuple[float, float], ...]  # x, y [m]
-    speeds: tuple[float, ...] = ()  # [m/s] one for each leg
+    speeds: tuple[float, ...] = ()  # [m/s] one for each leg, nan where it has none; or none
     origin: tuple[float, float] | None = None  # latitude, longitude [deg] of x = y = 0, if the file has them
 
 
@@ -58,15 +71,19 @@ def read_mission(file: str | FilePath) -> Mission:
     file = FilePath(file)
     if file.suffix.lower() not in SUFFIXES:
         raise ValueError(f"mission {file} ends in {file.suffix!r}; it must end in {', '.join(SUFFIXES)}")
-    text = file.read_bytes().decode("utf-8-sig")
+    content = file.read_bytes()
     with guarded(f"mission {file}"):
+        text = content.decode("utf-16" if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig")
+        if text.startswith("QGC WPL"):
+            return _geographic(file.stem, *_of_waypoint_file(text))
+        if file.suffix.lower() in (".waypoints", ".txt"):
+            raise ValueError(f"its first line is {text.partition(chr(10))[0]!r}; it must begin with 'QGC WPL'")
         if file.suffix.lower() == ".csv":
             return _of_table(file.stem, text)
-        if file.suffix.lower() == ".waypoints":
-            return _of_waypoint_file(file.stem, text)
         record = json.loads(text)
-        places = _of_plan(record) if "mission" in record else _of_geojson(record)
-        return _geographic(file.stem, *places)
+        if not isinstance(record, dict):
+            raise ValueError("it is a list; it must be an object of GeoJSON or a plan of QGroundControl")
+        return _geographic(file.stem, *(_of_plan(record) if "mission" in record else _of_geojson(record)))
 
 
 def mission_scenario(
@@ -91,104 +108,170 @@ def mission_scenario(
     model = as_vehicle_model(vehicle) or PAPER_MODEL
     usual = model.vehicle.speed if vehicle is not None else PAPER_VEHICLE.speed
     speed = usual if speed is None else speed
+    speeds = tuple(speed if math.isnan(one) else one for one in mission.speeds)
     if radius is None:
         turn_rate = model.turn_rate or _TURN_RATE * PAPER_VEHICLE.time / model.vehicle.time
-        radius = max((speed, *mission.speeds)) / turn_rate
-    path = Legs(mission.points, speed, radius, mission.speeds)
+        radius = max(speeds or (speed,)) / turn_rate
+    path = Legs(mission.points, speed, radius, speeds)
     V_x, V_y = map(float, current)
     flow = RandomCurrent(speed=math.hypot(V_x, V_y), direction=math.atan2(V_y, V_x), relative=False)
     scenario = Scenario(mission.name, path, steps=1, current=flow if V_x or V_y else None)
     scenario = replace(changed(scenario, vehicle), name=mission.name)
-    return replace(scenario, steps=max(1, int(path.end / scenario.control_dt)))
+    if (steps := max(1, int(path.end / scenario.control_dt))) > _LONGEST:
+        longest = np.hypot(*np.diff(path.waypoints, axis=0).T)
+        raise ValueError(
+            f"the mission takes {path.end:.3g} s, {steps} control steps, and an episode has at most {_LONGEST}; leg "
+            f"{np.argmax(longest)} is {longest.max() / 1000:.4g} km long: are order, sign and unit of the coordinates "
+            "right?"
+        )
+    return replace(scenario, steps=steps)
+
+
+def _note(text: str) -> None:
+    """Warn of what a file has and the mission has not."""
+    warnings.warn(text, WaypointWarning, stacklevel=4)
 
 
 def _of_table(name: str, text: str) -> Mission:
     """Return the mission of a table with a row for each waypoint; the speed is that of the leg that begins there."""
-    lines = [line if not line.startswith("#") else "" for line in text.splitlines()]  # numbers of lines stay
-    separator = max(",;\t", key=next(filter(str.strip, lines), "").count)
-    table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    if not (rows := {k: row for k, row in enumerate(table, 1) if any(row)}):
+    lines = text.splitlines()
+    filled = [k for k, line in enumerate(lines) if line.strip(" ,;\t")]
+    if not (data := [k for k in filled if not lines[k].startswith("#")]):
         raise ValueError("it is empty")
-    head, *numbers = rows
-    names = [cell.lower().replace(" ", "_") for cell in rows[head]]
-    places = {key: names.index(one) for key, several in _NAMES.items() for one in several if one in names}
-    if {"lat", "lon"} <= set(places):
-        pair = "lat", "lon"
-    elif {"x", "y"} <= set(places):
-        pair = "x", "y"
-    else:
-        raise ValueError(f"its columns are {', '.join(rows[head])}; it needs x and y [m], or lat and lon [deg]")
+    if re.fullmatch(r"[-+\d.,;\seE]*", lines[data[0]]):  # numbers: the line before may be a heading behind a "#"
+        data = filled[max(0, filled.index(data[0]) - 1) :]
+    separator = max(",;\t", key=lines[data[0]].count)
+    blanks = separator not in lines[data[0]]
+    heading, *rows = ([cell.strip() for cell in (lines[k].split() if blanks else one)] for k, one in zip(
+        data, csv.reader([lines[k].lstrip("# ") for k in data], delimiter=separator), strict=True
+    ))  # fmt: skip
+    found = {key: place for key, names in _NAMES.items() if (place := _place(heading, names)) is not None}
+    pair = ("lat", "lon") if {"lat", "lon"} <= set(found) else ("x", "y")
+    if not set(pair) <= set(found):
+        raise ValueError(
+            f"its columns are {', '.join(heading)}; it needs x and y [m], or lat and lon [deg]; speed [m/s] is optional"
+        )
+    used = {found[key][0] for key in (*pair, "speed") if key in found}
+    if unused := [column for k, column in enumerate(heading) if k not in used]:
+        _note(f"{name}: the columns {', '.join(unused)} are not used")
 
-    def column(key: str) -> list[float]:
-        found = []
-        for line in numbers:
-            cell = rows[line][places[key]] if places[key] < len(rows[line]) else ""
+    def column(key: str, blank: float | None = None) -> list[float]:
+        place, factor = found[key]
+        numbers = []
+        for k, row in zip(data[1:], rows, strict=True):
+            cell = row[place] if place < len(row) else ""
             try:
-                found.append(float(cell.replace(",", ".") if separator != "," else cell))
+                numbers.append(
+                    blank if blank is not None and not cell
+                    else factor * float(cell.replace(",", ".") if separator != "," else cell)
+                )  # fmt: skip
             except ValueError:
-                raise ValueError(f"{cell!r} in column {rows[head][places[key]]} of line {line} is no number") from None
-        return found
+                raise ValueError(f"{cell!r} in column {heading[place]} of line {k + 1} is no number") from None
+        return numbers
 
-    speeds = tuple(column("speed")[:-1]) if "speed" in places else ()
     first, second = column(pair[0]), column(pair[1])
+    speeds = column("speed", math.nan) if "speed" in found else [math.nan] * len(first)
     if pair == ("lat", "lon"):
         return _geographic(name, first, second, speeds)
-    return Mission(name, tuple(zip(first, second, strict=True)), speeds)
+    return Mission(name, tuple(zip(first, second, strict=True)), _of_legs(speeds))
 
 
-def _of_waypoint_file(name: str, text: str) -> Mission:
-    """Return the mission of a file "QGC WPL": lines with command, four parameters, latitude and longitude."""
-    head, *lines = text.splitlines()
-    if not head.startswith("QGC WPL"):
-        raise ValueError(f"its first line is {head!r}; it must begin with 'QGC WPL'")
-    rows = [line.split() for line in lines if line.strip()]
-    items = [(int(row[3]), float(row[5]), float(row[8]), float(row[9])) for row in rows[1:]]  # the first one is home
-    return _geographic(name, *_of_items(items))
+def _place(heading: Sequence[str], names: Sequence[str]) -> tuple[int, float] | None:
+    """Return index and factor to SI units of the first column with one of the names, None if there is none.
+
+    Raises:
+        ValueError: its unit is unknown.
+    """
+    for k, cell in enumerate(heading):
+        name, bracket, suffix = _HEAD.fullmatch(cell.lower().replace("m_s", "m/s")).groups()  # type: ignore[union-attr]
+        unit = bracket or suffix or "m"
+        if name in names and (bracket or unit in _UNITS):
+            if unit not in _UNITS:
+                raise ValueError(f"the unit of column {cell} is unknown; allowed are {', '.join(_UNITS)}")
+            return k, _UNITS[unit]
+    return None
 
 
-def _of_plan(record: Any) -> tuple[list[float], list[float], tuple[float, ...]]:
-    """Return the waypoints of a plan of QGroundControl; surveys have theirs as items of their own."""
-    items: list[Any] = []
-    waiting = list(record["mission"]["items"])
-    while waiting:
-        item = waiting.pop(0)
-        inner = item.get("TransectStyleComplexItem", {}).get("Items")
-        if inner is not None:
-            waiting = [*inner, *waiting]
-        elif "command" in item:
-            known = [math.nan if p is None else p for p in item["params"]]
-            items.append((int(item["command"]), known[1], known[4], known[5]))
+def _of_legs(speeds: Sequence[float]) -> tuple[float, ...]:
+    """Return the speeds of the legs, none if no leg has one."""
+    legs = tuple(speeds[:-1])
+    return () if all(map(math.isnan, legs)) else legs
+
+
+def _of_waypoint_file(text: str) -> _Places:
+    """Return the places of a file "QGC WPL": lines with command, four parameters, latitude and longitude."""
+    items: list[tuple[int, Sequence[float]]] = []
+    for k, line in enumerate(text.splitlines()[1:], 2):
+        if (cells := line.split()) and (items or cells[2:3] != ["0"]):  # a first one with absolute height is home
+            if len(cells) < 11:
+                raise ValueError(f"line {k} has {len(cells)} entries; a waypoint has 12")
+            with guarded(f"line {k}"):
+                items.append((int(cells[3]), [float(cell) for cell in cells[4:11]]))
     return _of_items(items)
 
 
-def _of_items(
-    items: Sequence[tuple[int, float, float, float]],
-) -> tuple[list[float], list[float], tuple[float, ...]]:
-    """Return the waypoints and speeds of commands (command, second parameter, latitude, longitude)."""
-    lat, lon, speeds, speed = [], [], [], math.nan
-    for command, second, latitude, longitude in items:
-        if command == _SPEED:
-            speed = second
-        elif command == _WAYPOINT:
-            lat.append(latitude)
-            lon.append(longitude)
-            speeds.append(speed)
-    known = tuple(speeds[1:])  # a speed holds from its command on, on the way to the next waypoint
-    return lat, lon, () if any(map(math.isnan, known)) else known
+def _of_plan(record: Any) -> _Places:
+    """Return the places of a plan of QGroundControl; surveys have theirs as items of their own."""
+    items: list[tuple[int, Sequence[float]]] = []
+    waiting, empty = list(record["mission"].get("items", ())), 0
+    while waiting:
+        item = waiting.pop(0)
+        if "command" in item:
+            if len(params := item.get("params", ())) < 6:
+                raise ValueError(f"an item with command {item['command']} has no params: save it with a newer planner")
+            items.append((int(item["command"]), [math.nan if p is None else p for p in params]))
+        else:
+            inner = item.get("TransectStyleComplexItem", {}).get("Items", ())
+            waiting, empty = [*inner, *waiting], empty + (not inner)
+    if empty:
+        _note(f"{empty} surveys or structures without waypoints are left out: save the plan with a newer planner")
+    return _of_items(items)
 
 
-def _of_geojson(record: Any) -> tuple[list[float], list[float], tuple[float, ...]]:
-    """Return the points of the first line of a GeoJSON file, or its points in their order."""
-    features = record.get("features", [record])
-    shapes = [feature.get("geometry", feature) for feature in features]
-    lines = [shape["coordinates"] for shape in shapes if shape.get("type") == "LineString"]
-    points = lines[0] if lines else [shape["coordinates"] for shape in shapes if shape.get("type") == "Point"]
-    return [point[1] for point in points], [point[0] for point in points], ()
+def _of_items(items: Sequence[tuple[int, Sequence[float]]]) -> _Places:
+    """Return the places of commands with their parameters, the fifth and sixth of which are latitude and longitude."""
+    lat, lon, speeds, speed, others = [], [], [math.nan], math.nan, []
+    for k, (command, params) in enumerate(items, 1):
+        if command == _SPEED and params[0] in (0, 1) and params[1] != -1:  # of air or ground; -1: no change
+            speed = params[1] if params[1] > 0 else math.nan
+        elif command in (_WAYPOINT, _SPLINE):
+            if params[4] == params[5] == 0:
+                raise ValueError(f"the waypoint in item {k} has latitude 0 and longitude 0, which is no place")
+            lat.append(params[4])
+            lon.append(params[5])
+            speeds.append(speed)  # it holds from its command on, on the way to this waypoint
+        if (command <= 95 or command == _JUMP) and command != _WAYPOINT:
+            others.append(f"{command} in item {k}")
+    if others:
+        _note(
+            f"commands of MAVLink that are not followed: {', '.join(others)}; waypoints ({_WAYPOINT}, {_SPLINE}) are "
+            "joined by straight legs"
+        )
+    return lat, lon, [*speeds[2:], math.nan]
 
 
-def _geographic(name: str, lat: Sequence[float], lon: Sequence[float], speeds: tuple[float, ...] = ()) -> Mission:
+def _of_geojson(record: Any) -> _Places:
+    """Return the places of the first line of a GeoJSON file, or of its points in their order."""
+    features = [one for one in record.get("features", [record]) if one.get("geometry", one)]
+    shapes = [one.get("geometry", one) for one in features]
+    kinds = [shape.get("type") for shape in shapes]
+    if "LineString" in kinds:
+        if kinds.count("LineString") > 1:
+            _note(f"the first of {kinds.count('LineString')} lines is used")
+        points = shapes[kinds.index("LineString")]["coordinates"]
+        speeds = [math.nan] * len(points)
+    else:
+        chosen = [k for k, kind in enumerate(kinds) if kind == "Point"]
+        if not chosen:
+            raise ValueError(f"it has {', '.join(map(str, dict.fromkeys(kinds)))}; it must have a LineString or Points")
+        points = [shapes[k]["coordinates"] for k in chosen]
+        speeds = [float((features[k].get("properties") or {}).get("speed", math.nan)) for k in chosen]
+    return [point[1] for point in points], [point[0] for point in points], speeds
+
+
+def _geographic(name: str, lat: Sequence[float], lon: Sequence[float], speeds: Sequence[float]) -> Mission:
     """Return the mission of geographic coordinates [deg]."""
     if len(lat) < 2:
         raise ValueError(f"it has {len(lat)} waypoints; it must have 2 or more")
     xy = np.round(from_geographic(lat, lon), 6)
-    return Mission(name, tuple(map(tuple, xy.tolist())), speeds, (float(lat[0]), float(lon[0])))
+    return Mission(name, tuple(map(tuple, xy.tolist())), _of_legs(speeds), (float(lat[0]), float(lon[0])))

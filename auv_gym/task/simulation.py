@@ -131,6 +131,7 @@ class _Effects:
         self._sample, self._p, self._ns, self._begins = sample, p, ns, begins
         self._last_action = self.action = last_action
         self.noise: Any = sample[p.parts.model.noise_rows]
+        self.squared_error: Number = 0.0
         self._memory: dict[type[Effect], Any] = {}
         self._last = Measured(*(None,) * 6)
         if memory is not None:
@@ -146,6 +147,7 @@ class _Effects:
             at = At(
                 constants_of(p, effect), inputs, state, before, self.action, self._last_action, self._last, self.noise,
                 p.coefficients, model.limits(p), p.h * parts.substeps, self._begins, model.channels, self._ns,
+                self.squared_error,
             )  # fmt: skip
             try:
                 value, self._memory[effect] = act(effect, point, value, self._memory.get(effect), at)
@@ -230,7 +232,7 @@ def step(
     sample = (*sample[: model.load_rows.start], *load, *sample[model.load_rows.stop :])
     state, force = move(before, force, command, sample, p, ns)
     measured, terms = _observe(state, before, effects, sample, p, ns)
-    squared_error = sum_of_squares([state[i] - sample[i] for i in range(len(model.position))])
+    effects.squared_error = squared_error = sum_of_squares([state[i] - sample[i] for i in range(len(model.position))])
     squared_change = sum_of_squares([now - then for now, then in zip(sent, last, strict=True)])
     earned = reward(squared_error, squared_change, p.error_scale, p.rate_weight, ns)
     at_limit, *others = (abs(a) >= 1.0 for a in sent)

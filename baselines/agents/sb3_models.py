@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from auv_gym.installation import install
 from auv_gym.task.observation import SIZE
-from auv_gym.task.policy import Policy, checked_authority
+from auv_gym.task.policy import Policy
+from baselines.agents.corrected import CorrectedPolicy
 from baselines.policy import Batched, Memory, Starts
 
 _ALGORITHMS = {
@@ -36,36 +37,23 @@ LARGEST_DATA = 2**26
 
 
 class _Model(Batched):
-    """A model with the normalisation of its training, whose action may correct that of an expert.
+    """A model with the normalisation of its training.
 
     Args:
         model: as loaded.
         statistics: the `VecNormalize` of its training, if there was one.
-        expert: the policy that it corrects, if there is one.
-        authority: of the corrections.
     """
 
-    def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = _AUTHORITY) -> None:
-        self.model, self.statistics, self.expert = model, statistics, expert
-        self.authority = np.array(checked_authority(authority))
+    def __init__(self, model: Any, statistics: Any) -> None:
+        self.model, self.statistics = model, statistics
 
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return actions and the model's memory, see `Batched`."""
-        if self.expert is None:
-            return self._act(rows, state, episode_start, deterministic)
-        base, _ = self.expert.predict(rows, None, episode_start, deterministic)
-        correction, state = self._act(np.hstack((rows, base)), state, episode_start, deterministic)
-        action = base.astype(np.float64) + self.authority * np.clip(correction, -1.0, 1.0)
-        return np.clip(action, -1.0, 1.0).astype(np.float32), state
-
-    def _act(
-        self, observation: NDArray[Any], state: Memory | None, *rest: Any
-    ) -> tuple[NDArray[np.float32], Memory | None]:
         if self.statistics is not None:
-            observation = self.statistics.normalize_obs(observation)
-        action, state = self.model.predict(observation, _swapped(state), *rest)
+            rows = self.statistics.normalize_obs(rows)
+        action, state = self.model.predict(rows, _swapped(state), episode_start, deterministic)
         return action, _swapped(state)
 
 
@@ -118,7 +106,8 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
             f"{file} takes observations {shapes[0]} and returns actions {shapes[1]}; here they are ({SIZE},), or "
             f"({SIZE + 2},) in the residual environment, and (2,): wrap it in a module and use FILE.py:FACTORY"
         )
-    return _Model(model, statistics, expert if shapes[0] == (SIZE + 2,) else None, authority)
+    policy = _Model(model, statistics)
+    return CorrectedPolicy(expert, policy, authority) if shapes[0] == (SIZE + 2,) else policy
 
 
 def _algorithm(file: Path) -> tuple[str, str]:

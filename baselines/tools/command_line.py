@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 import unicodedata
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import fields
@@ -165,7 +166,8 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
         program: the words that the user has typed before the arguments, for messages.
         arguments: None: those of this process.
     """
-    status, line = FAILED, ""
+    status, line, form = FAILED, "", warnings.formatwarning
+    warnings.formatwarning = warned
     token = _called.set(program)
     try:
         with _terminable():
@@ -178,15 +180,21 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
         line = str(error)
     except OSError as error:
         what = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-        status, line = FAILED, f"cannot continue: {what}"
+        status, line = FAILED, "" if isinstance(error, BrokenPipeError) else f"cannot continue: {what}"
         _drop_output()
     except KeyboardInterrupt:
         line = "interrupted"
     finally:
         _called.reset(token)
+        warnings.formatwarning = form
     if line:
         print(f"{program}: {printable(' '.join(line.split()))}", file=sys.stderr)
     return status
+
+
+def warned(message: Warning | str, *_: object, **__: object) -> str:
+    """Return the line of a warning, without the place in the source."""
+    return f"warning: {' '.join(str(message).split())}\n"
 
 
 def set_threads() -> None:

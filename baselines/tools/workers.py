@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
@@ -24,7 +25,7 @@ from joblib.externals.loky.backend import resource_tracker as resource_tracker_o
 from threadpoolctl import threadpool_limits
 
 from auv_gym.installation import install
-from baselines.tools.command_line import WorkerError
+from baselines.tools.command_line import WorkerError, warned
 
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # number of parallel tasks
 _ANSWER = 30  # [s] in which a scheduler and a worker of a cluster must answer
@@ -212,6 +213,7 @@ def _begin(parent: int, path: Sequence[str]) -> None:
     A thread ends it when its parent ends, even if the parent is killed.
     """
     sys.path[:] = path
+    warnings.formatwarning = warned
 
     def watch() -> None:
         while os.getppid() == parent:

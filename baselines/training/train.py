@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
@@ -57,7 +58,7 @@ def train(config: Config, folder: Path, show: Show = lambda *_: None, processes:
         run = RunFolder(config, folder, show, processes)
         agent: Agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
         run.close()
-        selected, curve = run.validated, learning_curve([read_progress(folder)])
+        selected, curve = run.validated, learning_curves({"": folder})
         write_atomically(folder / CURVE_FILE, curve)
         record = {
             "command": command,
@@ -93,8 +94,8 @@ def train_all(request: TrainingRequest) -> int:
         print(f"{reason}; repeat the command with --resume to continue", file=sys.stderr)
         return FAILED
     if several and status == DONE:
-        rows = [checked(partial(read_progress, folder)) for folder in request.folders]
-        write_atomically(request.out / CURVE_FILE, learning_curve(rows, [folder.name for folder in request.folders]))
+        curves = checked(partial(learning_curves, {folder.name: folder for folder in request.folders}))
+        write_atomically(request.out / CURVE_FILE, curves)
     return status
 
 
@@ -143,12 +144,17 @@ def _lines(config: Config, label: str = "") -> Show:
     return show
 
 
-def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:
+def learning_curves(runs: Mapping[str, Path]) -> bytes:
     """Return a PNG image of the score on the validation episodes over control steps and over wall time.
 
+    A run with several seeds is a line of their mean, with a band from the worst to the best at that time.
+
     Args:
-        seeds: for each training the rows of its progress.csv.
-        names: of the trainings, for the legend; empty for a single training.
+        runs: folders of runs, or of runs with several seeds, by their names in the legend; one alone has no legend.
+
+    Raises:
+        OSError: a file cannot be read.
+        ValueError: a file is damaged, or a folder holds no validated run.
     """
     figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
     axes[0].set_ylabel("score (0: expert, 1: no error)")
@@ -158,15 +164,19 @@ def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequen
         ):
             ax.set_xlabel(label)
             ax.axhline(0.0, **REFERENCE_STYLE)
-            for i, rows in enumerate(seeds):
-                points = [row for row in rows if "score" in row]
-                ax.plot(
-                    [row[key] / unit for row in points],
-                    [row["score"] for row in points],
-                    color=COLOURS[i % len(COLOURS)],
-                    marker=".",
-                    label=names[i] if names else None,
-                )
-        if names:
+            for i, (name, folder) in enumerate(runs.items()):
+                seeds = [read_progress(seed) for seed in (folder, *sorted(folder.glob("seed-*")))]
+                points = [
+                    np.array([(r[key] / unit, r["score"]) for r in rows if "score" in r]) for rows in seeds if rows
+                ]
+                if not points or min(map(len, points)) == 0:
+                    raise ValueError(f"{folder} holds no run that was validated")
+                times = points[0][: min(map(len, points)), 0]
+                scores = np.array([np.interp(times, *one.T) for one in points])
+                colour = COLOURS[i % len(COLOURS)]
+                ax.plot(times, scores.mean(axis=0), color=colour, marker=".", label=name)
+                if len(scores) > 1:
+                    ax.fill_between(times, scores.min(axis=0), scores.max(axis=0), color=colour, alpha=0.2, lw=0)
+        if len(runs) > 1:
             axes[0].legend()
     return to_png(figure)

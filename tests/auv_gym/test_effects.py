@@ -7,15 +7,16 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pytest
 
-from auv_gym.effects import EFFECTS, PACKAGE, Effect, Interval, effect
+from auv_gym.effects import EFFECTS, PACKAGE, Effect, FineReward, Interval, effect
 from auv_gym.effects.base import _check_points, uniform_of
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.paths import Line
 from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import vehicle_model
 from auv_gym.task.observation import decode_observation
 from examples.effects import DeadZone, DriftingCompass, TowedBody, Wall
@@ -124,6 +125,22 @@ def test_a_wall_costs_reward_and_ends_the_episode():
     assert len(rewards) < 200
 
 
+def test_a_fine_reward_tells_millimetres_from_centimetres():
+    """It is the formula of its docstring, for the error after the step; for a small vehicle its scale is smaller."""
+    plain = replace(PRESETS["cruise-calm"], path=Line(1.0), rate_weight=0.0, start=Start(0.0, (0.001, 0.1), 0.0))
+    fine = replace(plain, effects=(FineReward(scale=0.02, weight=0.25),))
+    env = UnderactuatedAUVTrackVectorEnv(32, fine)
+    env.reset(seed=1)
+    reward, info = env.step(np.zeros((32, 2)))[1::3]
+    e = info["position_error"]
+    np.testing.assert_allclose(reward, 0.75 / np.hypot(1, e / 0.5) + 0.25 / np.hypot(1, e / 0.02), rtol=1e-6)
+    slope = np.polyfit(e, reward, 1)[0]
+    assert slope < -1.5  # without the effect: a tenth of this
+    assert changed(fine, "lauv").effects[0].scale == pytest.approx(
+        0.02 * Units.of(vehicle_model("lauv").vehicle).length
+    )
+
+
 def test_scenarios_are_saved_with_their_effects(tmp_path):
     for file in (tmp_path / "mine.toml", tmp_path / "mine.json"):
         MINE.save(file)
@@ -202,6 +219,7 @@ def made(name="Own", unit="1", points=None, **entries):
         ({"points": {"reward": lambda x, at: x / at.own.size}}, "Own.reward fails: ZeroDivisionError"),
         ({"points": {"share": lambda x, at: (x[0] * at.own.width, x[1])}}, "no attribute 'width'"),
         ({"unit": "furlong"}, "the unit of Own.size is 'furlong'; it must be one of 1, rad, m, s"),
+        ({"__annotations__": {"share": field()[0]}, "share": 0.5}, "a field with the name of a point"),
         ({"remembers": ("z",)}, "Own remembers 'z'; measurements are x, y, psi, u, v, r"),
     ],
 )

@@ -342,7 +342,7 @@ def test_doubled_and_near_waypoints_are_left_out_with_a_word():
         with pytest.warns(WaypointWarning, match=r"waypoints 1, 3 are nearer than 0\.1 m to the one before; left out"):
             path = family(points, 1.0, *rest)
         assert path.waypoints == ((0, 0), (10, 0), (20, 5))
-    assert path.speeds == (0.5, 0.7)
+    assert path.speeds == (0.6, 0.8)
     with pytest.warns(WaypointWarning, match="waypoints 3 are nearer"):
         assert len(Legs(((0, 0), (9, 0), (5, 9), (0, 0)), 1.0, 0.5, closed=True).waypoints) == 3
 
@@ -351,7 +351,7 @@ def test_doubled_and_near_waypoints_are_left_out_with_a_word():
     ("arguments", "message"),
     [
         ((((0, 0), (10, 0), (0, 0)), 1.0, 1.0), "Legs: the path turns back at waypoint 1; a vehicle that cannot turn"),
-        ((LAWN, 1.0, 5.0), r"the corners at waypoints 1 and 2 need 17.33 m .* has 12 m; a radius of 3.462 m would fit"),
+        ((LAWN, 1.0, 5.0), r"the leg from waypoint 1 to 2 has 12 m, .* need 17.33 m; a radius of 3.46[12] m would fit"),
         ((LAWN, 1.0, 0.0), "Legs: radius must be finite and positive, got 0.0"),
         ((LAWN, 1.0, 3.0, (1.0, 2.0)), r"Legs: speeds must be none or one for each of 7 legs, got \(1.0, 2.0\)"),
         ((LAWN[:3], 1.0, 3.0, (1.0, -2.0)), "Legs: speeds must be finite and positive, got -2.0 on leg 1"),
@@ -470,7 +470,7 @@ def test_wrong_fields_are_refused(path):
         (("here", 1.0), r"waypoints must be 2 or more pairs \(x, y\), got 'here'"),
         ((((0, 0), (1, math.nan)), 1.0), r"waypoints must be finite, got \[1\.0, nan\] at waypoint 1"),
         ((((0, 0), (0, 0)), 1.0), r"the waypoints are at most 0 m apart: they are one point"),
-        ((((59.9, 10.7), (59.9001, 10.7003)), 1.0), r"at most 0\.0003 m apart: are these degrees\? `from_geographic`"),
+        ((((59.9, 10.7), (59.9001, 10.7003)), 1.0), r"at most 0\.0003 m .* are these degrees\? .* `from_geographic`"),
         ((WAYPOINTS, 0.0), r"Spline: speed must be finite and positive, got 0\.0"),
         ((WAYPOINTS, (1.0, 2.0)), r"Spline: speed must be finite and positive, got \(1\.0, 2\.0\)"),
         ((WAYPOINTS, 1.0, (1.0, 2.0)), r"speeds must be none or one for each of 7 waypoints, got \(1\.0, 2\.0\)"),

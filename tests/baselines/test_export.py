@@ -7,6 +7,8 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,9 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.scenarios.scenario import Start
 from auv_gym.task.observation import SIZE, decode_observation
 from auv_gym.task.policy import POSITIVE
 from baselines import __main__ as program
@@ -159,6 +163,38 @@ def test_headers_are_cpp_too(tmp_path, compiler):
     run_program(tmp_path, compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "agent.cpp", "main.cpp")
     run_program(tmp_path, compiler, "agent.cpp", "main.cpp", "-o", "program", "-lm")
     run_program(tmp_path, tmp_path / "program")
+
+
+def test_the_documented_program_gives_the_commands_of_the_policy(tmp_path, monkeypatch):
+    """Of docs/missions.md: the vehicle, the mission, its reference, the header, and the program."""
+    require_compiler()
+    monkeypatch.chdir(tmp_path)
+    for page in ("vehicles", "missions"):
+        text = (Path(__file__).parents[2] / "docs" / f"{page}.md").read_text(encoding="utf-8")
+        for block, name in re.findall(r"(?ms)^```(?:toml|csv|c)\n((?:# |/\* )(\w+\.\w+).*?)^```$", text):
+            Path(name).write_text(block, encoding="utf-8")
+    words = [line.split()[1:] for line in text.splitlines() if "my.toml" in line and line.startswith("auv-gym")]
+    for name, *options in words:
+        assert program.call(program.COMMANDS[name], options, f"auv-gym {name}") == 0
+    run_program(tmp_path, *next(line.split() for line in text.splitlines() if line.startswith("cc ")))
+
+    scenario = mission_scenario(read_mission("survey.csv"), vehicle="my.toml", radius=4.0)
+    policy, states, forces = make_policy("helm-any", scenario.known), [], []
+    env = UnderactuatedAUVTrackEnv(replace(scenario, start=Start(0.3, -0.4, 0.1)), preview=policy.preview)
+    (observation, _), memory, first, over = env.reset(seed=0), None, np.array([True]), False
+    while not over:
+        states.append(env.state)
+        action, memory = policy.predict(observation, memory, first)
+        limits = decode_observation(observation)[13:15]
+        forces.append(action * limits)
+        observation, _, terminated, over, _ = env.step(action)
+        first = np.array([False])
+        assert not terminated
+    lines = "\n".join(" ".join(f"{x:.9g}" for x in state) for state in states)
+    done = subprocess.run([tmp_path / "survey"], input=lines, capture_output=True, text=True, check=True)
+    theirs = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    assert len(theirs) >= len(forces) - 40
+    np.testing.assert_allclose(theirs, np.array(forces)[: len(theirs)], atol=0.05)
 
 
 BAD = (math.nan, math.inf, -math.inf, 1e30)

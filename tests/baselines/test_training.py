@@ -30,7 +30,7 @@ from baselines.training import command
 from baselines.training.command import PROGRAM, Options, main
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
 from baselines.training.run_folder import RunFolder, read_config, read_progress
-from baselines.training.train import train
+from baselines.training.train import learning_curves, train
 from baselines.training.validation import Validation, Verdict
 
 torch.set_num_threads(1)
@@ -209,6 +209,11 @@ def test_seeds_differ_and_each_has_a_folder(call, capsys):
     assert call(*tiny("ppo"), "--seed", 3, "--seeds", 2, "--jobs", 1) == 0
     assert "seed-3: 100%" in capsys.readouterr().err
     assert {file.name for file in Path("out").iterdir()} == {"seed-3", "seed-4", "learning_curve.png"}
+    both = learning_curves({"both": Path("out"), "one": Path("out/seed-3")})
+    assert both.startswith(b"\x89PNG")
+    assert both != learning_curves({"both": Path("out")})
+    with pytest.raises(ValueError, match="elsewhere holds no run that was validated"):
+        learning_curves({"none": Path("elsewhere")})
     assert not same(weights("out/seed-3/agent"), weights("out/seed-4/agent"))
     assert [read_config(Path(f"out/seed-{i}")).seed for i in (3, 4)] == [3, 4]
     assert call(*tiny("ppo"), "--seed", 3, "--out", "one") == 0

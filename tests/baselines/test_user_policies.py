@@ -4,17 +4,19 @@ import json
 import re
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
-from baselines import check_policy, make_policy, make_residual_vector_env
+from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
@@ -64,6 +66,42 @@ def test_a_file_runs_as_if_imported(tmp_path, monkeypatch):
     assert type(policy).__annotations__ == {"limit": float}
     assert policy.predict(None) == ("mine.py", None)
     assert [file.name for file in tmp_path.iterdir()] == ["mine.py"]
+
+
+@pytest.mark.parametrize("expert", ["backstepping", "nmpc"])
+@pytest.mark.parametrize("memory", [False, True])
+def test_a_network_of_ones_own_corrects_as_in_the_residual_environment(expert, memory):
+    """Up to single precision of the actions, with the memories of expert and network, over several episodes."""
+    weights = np.random.default_rng(1).normal(scale=0.3, size=(200, 2))
+
+    class Remembers:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            (past,) = state or (np.zeros((len(observation), 2)),)
+            past = np.where(np.reshape(episode_start, (-1, 1)), 0.0, past) * 0.9 + observation @ weights[:columns]
+            return np.tanh(past), (past,)
+
+    def function(observation):
+        return np.tanh(observation @ weights[:columns])
+
+    network, authority, short = (
+        Remembers() if memory else function,
+        (0.3, 0.5),
+        replace(PRESETS["cruise-storm"], steps=15),
+    )
+    residual = make_residual_vector_env(3, short, expert=expert, authority=authority)
+    policy = make_residual_policy(network, expert, authority)
+    columns = residual.single_observation_space.shape[0]
+    plain = UnderactuatedAUVTrackVectorEnv(3, short, preview=policy.preview)
+    (seen, _), (shown, _) = residual.reset(seed=5), plain.reset(seed=5)
+    state, kept, first = None, None, np.ones(3, dtype=bool)
+    for _ in range(40):
+        np.testing.assert_allclose(seen[:, :-2], shown, rtol=1e-4, atol=1e-5)
+        correction, kept = network.predict(seen, kept, first) if memory else (network(seen), None)
+        action, state = policy.predict(shown, state, first)
+        (seen, _, done, over, _), (shown, *_) = residual.step(correction), plain.step(action)
+        first = done | over
+    with pytest.raises(ValueError, match=r"actions have shape \(2,\)"):
+        make_residual_policy(lambda _: np.zeros(2)).predict(np.zeros((3, 18)) + 0.5)
 
 
 @pytest.mark.parametrize(

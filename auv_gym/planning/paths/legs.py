@@ -61,9 +61,9 @@ class Legs:
         for k, value in enumerate(self.speeds):
             if not is_number(value, "positive"):
                 raise ValueError(f"Legs: speeds must be finite and positive, got {value!r} on leg {k}")
-        ends = kept if self.closed else kept[:-1]
+        last = [k - 1 for k in (*kept[1:], *((len(self.waypoints),) if self.closed else ()))]  # of those at one place
         object.__setattr__(self, "waypoints", tuple(map(tuple, points.tolist())))
-        object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in ends) if self.speeds else ())
+        object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in last) if self.speeds else ())
         _ = self._segments  # raises ValueError for corners that do not fit
 
     @property
@@ -135,9 +135,14 @@ class Legs:
         if (short > 1e-9 * lengths).any():
             k = int(np.argmax(short / lengths))
             most = self.radius * lengths[k] / both[k]
+            digits = 10.0 ** (math.floor(math.log10(most)) - 3)
+            hint = f"a radius of {math.floor(most / digits) * digits:.4g} m would fit"
+            if most < self.radius / 10:
+                hint += "; where waypoints are that dense, thin them, or use a Spline"
+            corners = [abs(math.degrees(turns[c])) for c in (k - 1, k) if self.closed or 0 <= c < len(turns)]
             raise ValueError(
-                f"Legs: the corners at waypoints {k % n} and {(k + 1) % n} need {both[k]:.4g} m of the leg between "
-                f"them, which has {lengths[k]:.4g} m; a radius of {most:.4g} m would fit"
+                f"Legs: the leg from waypoint {k % n} to {(k + 1) % n} has {lengths[k]:.4g} m, and its corners, of "
+                f"{' and '.join(f'{angle:.1f}' for angle in corners)} degrees, need {both[k]:.4g} m; {hint}"
             )
 
     @cached_property

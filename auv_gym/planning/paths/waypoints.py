@@ -46,7 +46,11 @@ def checked_waypoints(family: str, waypoints: Any, closed: bool) -> tuple[Array,
         near.append(kept.pop())
     if len(kept) < least:
         size = float(np.ptp(points, axis=0).max())
-        hint = "are these degrees? `from_geographic` converts them to metres" if size > 0 else "they are one point"
+        hint = (
+            "are these degrees? In a file name the columns lat and lon; `from_geographic` converts to metres"
+            if size > 0
+            else "they are one point"
+        )
         raise ValueError(f"{family}: the waypoints are at most {size:.3g} m apart: {hint}")
     if near:
         warnings.warn(
