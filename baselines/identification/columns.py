@@ -58,6 +58,10 @@ QUANTITIES: Mapping[str, str] = {
 _HELD = ("F_u", "F_r", "thrust", "revolutions", "rudder", "port", "starboard", "W_x", "W_y")  # until the next row
 _STAMPS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # least time [s] that looks like another unit since 1970
 _NOTHING = ("", "nan", "na", "null", "none", "-")  # cells without a value, in lower case
+_NUMBERS = r"[-+\d.,;\seE:TZ]*"  # a row without names
+_DAY = 86400.0  # [s]
+_RESET = 10  # multiple of the usual step by which time goes back where a run begins
+_NEAR = 0.2  # share of the usual time between two values within which rows are one
 _SAME = 10  # fewest changes of values that are held for rows
 _EQUATOR, _FLATTENING = 6378137.0, 1 / 298.257223563  # [m] WGS 84
 
@@ -168,7 +172,10 @@ class Format:
             OSError: the file cannot be read.
         """
         lines = _lines(file, "utf-8-sig")
-        head, first = [*lines, "", ""][:2]
+        skip = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+        if skip == 0 or not re.fullmatch(_NUMBERS, lines[skip]):
+            skip += 1  # else the last comment names the columns
+        head, first = [*(line.lstrip("# ") for line in lines[skip - 1 :]), "", ""][:2]
         separator = max(",;\t", key=head.count)
         if head.count(separator) == 0 and len(head.split()) > 1:
             separator = "space"
@@ -181,7 +188,17 @@ class Format:
             if match[1] in columns:
                 raise ValueError(f"there is more than one column {match[1]!r}; remove all but one")
             columns[match[1]] = {"column": place + 1, "unit": match[2] or ""}
-        return cls(columns, separator=separator, decimal=decimal)
+        return cls(columns, skip=skip, separator=separator, decimal=decimal)
+
+    @property
+    def hints(self) -> str:
+        """What to look at first where columns contradict each other."""
+        found = {
+            "psi comes from the quaternion: look at the order of its columns first": "q_w" in self.columns,
+            "F_r comes from port and starboard: look whether they are exchanged first": "port" in self.columns,
+            'axes is "ENU": leave it out if psi is a compass heading': self.axes == "ENU",
+        }
+        return "".join(f" ({hint})" for hint, here in found.items() if here)
 
     def read(self, file: str | Path) -> Table:
         """Return the columns of a log. A cell that is empty, nan or not a number has no value; a command is then held.
@@ -203,7 +220,8 @@ class Format:
         notes = [*_left_out(rows, cells), *_unread(texts, numbers)]
         columns = {name: _column(entry).si(numbers[name], name) for name, entry in self.columns.items()}
         kept = np.isfinite(columns["t"]) if "t" in columns else np.ones(len(cells), dtype=bool)
-        columns = {name: values[kept] for name, values in columns.items()}
+        columns, more = _in_order({name: values[kept] for name, values in columns.items()})
+        notes += more
         for t in columns.get("t", ())[:1]:
             if looks_like := next((unit for least, unit in _STAMPS if t > least), None):
                 raise ValueError(
@@ -211,17 +229,20 @@ class Format:
                     f"t [{looks_like}] in the first line, or unit = {looks_like!r} in a format"
                 )
         columns |= {name: _held(columns[name]) for name in _HELD if name in columns}
+        notes += _without_place(columns)
         table = _in_standard_axes(columns, self)
         if self.axes == "ENU" or "latitude" in self.columns:
             notes.append("axes of the result: x north, y east, psi clockwise; V_x is the current to the north")
         return Table(_thinned(table, self.every), tuple(notes))
 
     def _number(self, name: str, cell: str) -> float:
-        """Return the number in a cell, nan if there is none; a date of ISO 8601 in seconds since 1970."""
+        """Return the number in a cell, nan if there is none; for t also a date of ISO 8601 or a time of day, in [s]."""
         with suppress(ValueError):
             return float(cell if self.decimal == "." else cell.replace(",", "."))
         with suppress(ValueError):
             if name == "t":
+                if day := re.fullmatch(r"(\d\d?):(\d\d):(\d\d(?:\.\d*)?)", cell):
+                    return 3600.0 * int(day[1]) + 60.0 * int(day[2]) + float(day[3])
                 date = datetime.fromisoformat(cell.replace("Z", "+00:00"))
                 return (date if date.tzinfo else date.replace(tzinfo=timezone.utc)).timestamp()
         return math.nan
@@ -262,14 +283,17 @@ def _lines(file: Path, encoding: str) -> list[str]:
     data = read_bytes(file)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encoding = "utf-16"
-    elif b"\0" in data[:100] and encoding.startswith("utf-8"):
+    elif b"\0" in data[:100] and not (any(data[:100:2]) and any(data[1:100:2])) and encoding.startswith("utf-8"):
         raise ValueError(
-            f"{file} looks like UTF-16 without a byte order mark; give a format with encoding = 'utf-16-le'"
+            "the file looks like UTF-16 without a byte order mark; give a format with encoding = 'utf-16-le'"
         )
+    elif (b"\0" in data[:100] or data[:2] in (b"PK", b"\x1f\x8b")) and encoding.startswith("utf-8"):
+        raise ValueError("it is no text but a spreadsheet, an archive or a binary log; export it as CSV")
     try:
         return data.decode(encoding).splitlines()
     except (UnicodeDecodeError, LookupError) as error:
-        raise ValueError(f"{file} is not text in {encoding}: {error}") from error
+        hint = "; give a format with encoding = 'latin-1', or that of the file" if encoding.startswith("utf-8") else ""
+        raise ValueError(f"it is not text in {encoding}: {error}{hint}") from error
 
 
 def _left_out(rows: Sequence[Any], kept: Sequence[Any]) -> list[str]:
@@ -295,6 +319,61 @@ def _unread(table: Mapping[str, Sequence[str]], numbers: Mapping[str, Array]) ->
     for count, names in blank.items():
         notes.append(f"{', '.join(names)}: blank in {count} of {len(next(iter(table.values())))} rows")
     return notes
+
+
+def _in_order(columns: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """Return columns whose time increases, and sentences on what was done.
+
+    Rows that are out of order are sorted; a large step back begins a run. Rows nearer than a fifth of the usual time
+    between two values of a measurement are one: stamps that are doubled, and messages of several sensors in a burst.
+    """
+    if len(t := columns.get("t", np.empty(0))) < 3:
+        return columns, []
+    notes, usual = [], float(np.median(np.abs(np.diff(t))))
+    if len(midnights := np.flatnonzero(np.abs(np.diff(t) + _DAY) < max(60.0, 10 * usual)) + 1):
+        t = t + _DAY * (np.searchsorted(midnights, np.arange(len(t)), side="right"))
+        notes.append(f"t begins again at midnight in data row {midnights[0] + 1}; a day is added")
+    run = np.cumsum(np.diff(t, prepend=t[0]) < -_RESET * usual)
+    order = np.lexsort((t, run))
+    if late := int(np.count_nonzero((np.diff(t) < 0) & (np.diff(run) == 0))):
+        notes.append(f"t goes back {late} times within a run: its rows are sorted")
+    table = {name: values[order] for name, values in {**columns, "t": t}.items()}
+    values = [table["t"][np.isfinite(v)] for name, v in table.items() if name not in (*_HELD, "t")]
+    period = min((float(np.median(np.abs(np.diff(one)))) for one in values if len(one) > 2), default=0.0)
+    step = np.diff(table["t"])
+    near = np.append(False, (step >= 0) & (step <= _NEAR * period) & (np.diff(run) == 0))
+    if not near.any():
+        return table, notes
+    notes.append(f"{np.count_nonzero(near)} rows are within {_NEAR * period:.2g} s of the row before: merged with it")
+    groups, rows = np.flatnonzero(~near), np.arange(len(near))
+
+    def merged(name: str, values: Array) -> Array:
+        """Return the last command or the first measurement of each group."""
+        known = np.isfinite(values)
+        if name in _HELD:
+            at = np.maximum.reduceat(np.where(known, rows, -1), groups)
+            return np.where(at >= 0, values[at], np.nan)
+        at = np.minimum.reduceat(np.where(known, rows, len(rows)), groups)
+        return np.where(at < len(rows), values[np.minimum(at, len(rows) - 1)], np.nan)
+
+    return {name: merged(name, values) for name, values in table.items()}, notes
+
+
+def _without_place(columns: dict[str, Array]) -> list[str]:
+    """Remove positions at latitude and longitude 0, which receivers write without a fix; return sentences on that."""
+    if not {"latitude", "longitude"} <= columns.keys():
+        return []
+    for name, most in (("latitude", 0.5 * math.pi), ("longitude", 2 * math.pi)):
+        if len(wrong := np.flatnonzero(np.abs(columns[name]) > most)):
+            value = math.degrees(columns[name][wrong[0]])
+            raise ValueError(
+                f"{name} is {value:.6g} degrees in a row; it must be in [-{math.degrees(most):g}, "
+                f"{math.degrees(most):g}]: are the columns exchanged, or is the unit another one?"
+            )
+    none = (columns["latitude"] == 0) & (columns["longitude"] == 0)
+    for name in ("latitude", "longitude"):
+        columns[name] = np.where(none, np.nan, columns[name])
+    return [f"latitude and longitude are 0 in {none.sum()} rows: no fix"] if none.any() else []
 
 
 def _held(values: Array) -> Array:
@@ -354,17 +433,28 @@ def _on_plane(latitude: Array, longitude: Array) -> tuple[Array, Array]:
     squared = _FLATTENING * (2 - _FLATTENING)  # squared eccentricity
     root = math.sqrt(1 - squared * math.sin(latitude[first]) ** 2)
     north, east = _EQUATOR * (1 - squared) / root**3, _EQUATOR / root * math.cos(latitude[first])
-    return north * (latitude - latitude[first]), east * (longitude - longitude[first])
+    around = np.remainder(longitude - longitude[first] + math.pi, 2 * math.pi) - math.pi
+    return north * (latitude - latitude[first]), east * around
 
 
 def _thinned(columns: dict[str, Array], every: float) -> dict[str, Array]:
-    """Return rows about `every` [s] apart; commands and wind are averaged until the next row."""
+    """Return measurements about `every` [s] apart, from the first row that has all of them.
+
+    Rows in which a command changes and rows a fifth of this apart stay, without measurements. If commands change in
+    most rows, as measured rudder angles do, they are averaged until the next row.
+    """
     if every == 0 or "t" not in columns or len(columns["t"]) < 2:
         return columns
-    t = columns["t"]
-    rows = np.flatnonzero(np.diff(np.floor((t - t[0]) / every + 1e-6), prepend=-1))
+    t, held = columns["t"], [name for name in columns if name in _HELD]
+    whole = np.isfinite(np.column_stack([v for name, v in columns.items() if name not in held])).all(axis=1)
+    bins, fine = (
+        np.diff(np.floor((t - t[np.argmax(whole)]) / apart + 1e-6), prepend=-np.inf) > 0 for apart in (every, every / 5)
+    )
+    commands = np.column_stack([np.zeros(len(t)), *(columns[name] for name in held)])
+    changes = np.append(False, (np.diff(commands, axis=0) != 0).any(axis=1))
+    if changes.mean() <= 0.5:
+        kept = bins | fine | changes
+        return {n: (v if n in (*held, "t") else np.where(bins, v, np.nan))[kept] for n, v in columns.items()}
+    rows = np.flatnonzero(bins)
     lengths = np.diff(np.append(rows, len(t)))
-    return {
-        name: np.add.reduceat(values, rows) / lengths if name in _HELD else values[rows]
-        for name, values in columns.items()
-    }
+    return {n: np.add.reduceat(v, rows) / lengths if n in held else v[rows] for n, v in columns.items()}

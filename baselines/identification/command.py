@@ -105,6 +105,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--ensemble {options.ensemble} must be 0 to {_LARGEST_ENSEMBLE}")
     try:
         inputs = read(options)
+        for note in inputs.log.notes:
+            print(note)
         checked_folder(options.out)
         identified, taken = fitted(inputs, options)
         errors = None if inputs.held_out is None else held_out(identified, inputs.held_out)
@@ -113,8 +115,8 @@ def main(arguments: Sequence[str]) -> int:
         return FAILED
     except ValueError as error:
         raise UsageError(str(error)) from error
-    for note in (*inputs.log.notes, *([taken] if taken else [])):
-        print(note)
+    if taken:
+        print(taken)
     if identified.misfit:
         print(MISFIT)
     for row in rows(identified):
@@ -142,8 +144,12 @@ def read(options: Options) -> InputFiles:
         like, model = as_vehicle(options.like), as_vehicle_model(options.like)
         actuators = model.actuators if model else Actuators()
     form = None if options.format is None else Format.named(options.format)
-    log = joined([Log.load(file, form) for file in options.logs])
-    new = joined([Log.load(file, form) for file in options.holdout]) if options.holdout else None
+    logs, others = ([Log.load(file, form) for file in files] for files in (options.logs, options.holdout))
+    contents = [one.measured.tobytes() for one in (*logs, *others)]
+    if len({*contents}) < len(contents):
+        again = next(k for k, content in enumerate(contents) if content in contents[:k])
+        raise ValueError(f"{(*options.logs, *options.holdout)[again]} has the same measurements as a file before it")
+    log, new = joined(logs), joined(others) if others else None
     known = _known(options.known)
     if options.still_water:
         if current := [name for name in known if is_current(name)]:
@@ -189,6 +195,7 @@ def written(identified: Identified, errors: HeldOut | None, inputs: InputFiles, 
         tables[missing] = tomli_w.dumps(scenario(identified, vehicle, limits, ensemble).to_dict())
     except ValueError as error:
         hint = "; or name a vehicle by --like" if identified.unknown and inputs.like is None else ""
+        hint += "; are the commands in their columns, in N and N m?" if identified.misfit else ""
         note = f"no {missing}: {error}{hint}"
     report = report_files(identified, name, note, errors, _names(options.holdout))
     return Files({**report, **tables}, note, bool(tables))

@@ -50,6 +50,7 @@ NEVER_DROPPED = (*NEEDED, "T_nn", "side")
 DEFAULT_TERMS = tuple(name for name in OPTIONAL if name not in CROSS_TERMS)
 """Names of the optional coefficients that are fitted first to a log of forces."""
 
+_SETTLED = 4.0  # lags after which the force no longer depends on commands before the log
 LONGER = 4  # factor on the length of segments from fit to fit
 SIGNIFICANCE = 1e-4  # `Identified.whiteness` below which there is a model misfit
 FEWEST_BEYOND = 3  # commands beyond a limit without which it is not identified
@@ -193,6 +194,10 @@ def identify(
         rows *= LONGER
     if last is None:
         raise ValueError(NO_INITIAL_VALUES)
+    if log.kind == "force":
+        settled = _without_transients(last.model, _SETTLED * float(initial.values[-1]))
+        with suppress(ValueError):  # it can diverge where the log does not show the motion in yaw
+            last = _BackwardElimination(settled, initial, known, candidates)
     result = last.run()
     if initial.prior is not None:
         without_prior = replace(initial, values=result.values, prior=None)
@@ -206,6 +211,20 @@ def identify(
         gain = float(np.sum(counts * np.log(result.noise / other.noise)))
         result = other if gain > EVIDENCE else result
     return result
+
+
+def _without_transients(model: LogModel, time: float) -> LogModel:
+    """Return a model in whose log the measurements of the first `time` [s] of each run do not count.
+
+    The force at the first row depends on commands before the log, which are unknown. At least half of the first segment
+    counts.
+    """
+    log, ends = model.log, np.append(model.starts, len(model.log.t))
+    seen = np.ones_like(log.measured, dtype=bool) if log.seen is None else log.seen.copy()
+    for run in log.runs:
+        half = (run.start + ends[np.searchsorted(ends, run.start, side="right")]) // 2
+        seen[run.start : half][log.t[run.start : half] - log.t[run.start] < time] = False
+    return replace(model, log=replace(log, seen=seen))
 
 
 class _BackwardElimination:

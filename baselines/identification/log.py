@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.scenarios.records import guarded
@@ -30,8 +31,10 @@ _MIN_ROWS = 50  # of a run
 _MAX_ROWS = 100_000  # of a log
 _MAX_ENTRY = 1e12  # largest magnitude of an entry
 _MIN_MOTION = 1e-6  # least peak velocity [m/s], [rad/s] of a log, and least range of its commands
+_TURNED = 0.5  # [rad] change of the heading from which no speed is constant
 _LEAST_NOISE = 1e-6  # as a share of the range of a measurement
 _EPOCH = 1e8  # [s] time from which stamps are counted from the first one
+_FAR, _FEW = 10.0, 0.02  # an outlier is this multiple of a usual change away from its neighbours; share of outliers
 _GAP = 5  # a gap is a time step above this multiple of the median time step
 
 
@@ -100,11 +103,14 @@ class Log:
         if len(back := np.flatnonzero(np.diff(t) <= 0)):
             k = int(back[0])
             raise ValueError(
-                f"t goes from {t[k]:g} to {t[k + 1]:g} s in data row {run.start + k + 2}; time must increase: sort the "
-                "rows, remove duplicates, and write decimals with a point"
+                f"t goes from {t[k]:g} to {t[k + 1]:g} s in data row {run.start + k + 2}; time must increase: where a "
+                "new run begins, write a file for each run, or give a format, which divides runs"
             )
         if (longest := float(np.diff(t).max())) > _GAP * self.dt:
-            raise ValueError(f"t has a gap of {longest:.3g} s where rows are {self.dt:.3g} s apart; cut the log there")
+            raise ValueError(
+                f"t has a gap of {longest:.3g} s where rows are {self.dt:.3g} s apart; cut the log there, or give a "
+                "format, which divides runs"
+            )
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -169,7 +175,7 @@ class Log:
             try:
                 return cls._of_columns(table, form)
             except ContradictionError as error:
-                contradiction = ContradictionError(f"{file}: {error}")
+                contradiction = ContradictionError(f"{file}: {error}{form.hints if form else ''}")
         raise contradiction
 
     @classmethod
@@ -178,6 +184,8 @@ class Log:
         columns, notes = read.columns, [*read.notes]
         kind = next((kind for kind, names in CONTROLS.items() if columns.keys() >= {*names}), "force")
         needed = ("t", *MEASURED_COLUMNS, *CONTROLS[kind])
+        if lone := {"port", "starboard", "q_w", "q_z"} & columns.keys():
+            raise ValueError(f"there is {', '.join(sorted(lone))} alone; port needs starboard, and q_w needs q_z")
         if missing := [name for name in needed if name not in columns]:
             expected = ", ".join(f"{name} [{QUANTITIES[name]}]" for name in needed)
             hint = "" if form else "; describe other names, units and separators in a format: --format FILE.toml"
@@ -187,15 +195,25 @@ class Log:
         columns = {name: values[begin:] for name, values in columns.items()}
         if begin:
             notes.append(f"{begin} rows before the first commands are left out")
+        if empty := [name for name in needed if len(columns[name]) and not np.isfinite(columns[name]).any()]:
+            raise ValueError(f"{empty[0]} has no value in any row; all of {', '.join(needed)} are needed")
         seen, held = _seen(columns)
         columns |= {
             name: _filled(name, columns[name], mask) for name, mask in zip(MEASURED_COLUMNS, seen.T, strict=True)
         }
+        for name in MEASURED_COLUMNS[3:]:
+            if len(values := columns[name]) and np.ptp(values) == 0 and np.ptp(np.unwrap(columns["psi"])) > _TURNED:
+                raise ValueError(f"{name} is {values[0]:g} in all rows, but the heading changes; it must be measured")
         t = columns["t"]
         t = t - t[0] if len(t) and t[0] > _EPOCH else t
         if not (runs := [slice(0, len(t))] if form is None else _without_gaps(t)):
             raise ValueError(f"the log has no {_MIN_ROWS} rows without a gap; it must have {_MIN_ROWS} to {_MAX_ROWS}")
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        if form and (len(rows) < len(t) or len(runs) > 1):
+            notes.append(
+                f"{len(runs)} runs without a gap of more than {_GAP} steps; {len(t) - len(rows)} of {len(t)} rows are "
+                f"left out, in parts of fewer than {_MIN_ROWS}"
+            )
         starts = np.cumsum([0, *(run.stop - run.start for run in runs[:-1])])
 
         def table(names: Iterable[str]) -> Array:
@@ -208,19 +226,66 @@ class Log:
 
 
 def _seen(columns: Mapping[str, Array]) -> tuple[NDArray[np.bool_], list[str]]:
-    """Return which measurements count, shape (T, 6): those with a value, and of held values the first row."""
+    """Return which measurements count, shape (T, 6), and sentences on the others.
+
+    Those without a value do not count, nor outliers. Of values that are held the first one counts, and of values that
+    are interpolated those between which they are.
+    """
     table = np.column_stack([columns[name] for name in MEASURED_COLUMNS])
     seen, notes = np.isfinite(table), []
     for names in (("x", "y"), *((name,) for name in MEASURED_COLUMNS[2:])):
         at = [MEASURED_COLUMNS.index(name) for name in names]
-        rows = np.flatnonzero(seen[:, at].all(axis=1))
-        values = table[rows][:, at]
-        if len(rows) > 1 and (often := repeated(values)) > 1:
-            again = rows[1:][(np.diff(values, axis=0) == 0).all(axis=1)]
-            for j in at:
-                seen[again, j] = False
-            notes.append(f"{', '.join(names)} change in about every {often}. row only: each value counts once")
+        rows, label = np.flatnonzero(seen[:, at].all(axis=1)), ", ".join(names)
+        values = np.unwrap(table[rows][:, at], axis=0) if names == ("psi",) else table[rows][:, at]
+        if len(values) > 1 and (often := repeated(values)) > 1:
+            again = np.append(False, (np.diff(values, axis=0) == 0).all(axis=1))
+            notes.append(f"{label} change in about every {often}. row only: each value counts once")
+        elif (knots := _knots(values)) is not None:
+            again = ~knots
+            notes.append(f"{label} are interpolated between {np.count_nonzero(knots)} values: only these count")
+        elif (again := _outliers(values)).any():
+            notes.append(
+                f"{label} in {np.count_nonzero(again)} rows are far from those before and after, the first in data row "
+                f"{rows[again][0] + 1}: they do not count"
+            )
+        seen[np.ix_(rows[again], at)] = False
     return seen, notes
+
+
+def _knots(values: Array) -> NDArray[np.bool_] | None:
+    """Return the rows between which values (T, n) are linear, None if they are not linear between some rows.
+
+    Straight motion without noise is linear too, so such rows must come at equal distances, as fixes do.
+    """
+    if len(values) < _MIN_ROWS:
+        return None
+    steps = np.abs(np.diff(values, axis=0))
+    bends = np.abs(np.diff(values, 2, axis=0))
+    usual, least = np.median(steps, axis=0), np.array([_resolution(one) for one in values.T])
+    bent = (bends > np.maximum(2.1 * least, 1e-6 * usual)).any(axis=1)
+    every = np.diff(np.flatnonzero(bent))
+    if (usual < 20 * least).any() or len(every) < 10 or (often := float(np.median(every))) < 2:
+        return None
+    return np.concatenate(([True], bent, [True])) if np.mean(np.abs(every - often) < 0.35 * often) > 0.8 else None
+
+
+def _outliers(values: Array) -> NDArray[np.bool_]:
+    """Return the rows of values (T, n) that are far from the median of five, compared with usual changes; few or none.
+
+    Up to two of five are then found, as single wrong cells, and marks such as -999 for a missing value.
+    """
+    if len(values) < _MIN_ROWS:
+        return np.zeros(len(values), dtype=bool)
+    away = np.abs(values - median_filter(values, (5, 1), mode="nearest"))
+    usual = np.quantile(np.abs(np.diff(values, axis=0)), 0.95, axis=0)
+    far: NDArray[np.bool_] = (away > _FAR * np.maximum(usual, 1e-9)).any(axis=1)
+    return far if 0 < np.mean(far) < _FEW else np.zeros(len(values), dtype=bool)
+
+
+def _resolution(values: Array) -> float:
+    """Return the smallest difference of values, which is that of their digits if they have few."""
+    apart = np.diff(np.unique(values))
+    return float(np.min(apart, where=apart > 1e-9 * np.sum(apart), initial=np.inf)) if len(apart) else 0.0
 
 
 def _filled(name: str, values: Array, seen: NDArray[np.bool_]) -> Array:
@@ -287,7 +352,9 @@ def rough_noise(log: Log) -> Array:
     for j in range(6):
         bends = np.concatenate([np.diff(measured[log.counted(run, j), j], 2) for run in log.runs])
         if len(bends):
-            noise[j] = 1.4826 * np.median(np.abs(bends - np.median(bends))) / math.sqrt(6)
+            usual = 1.4826 * np.median(np.abs(bends - np.median(bends))) / math.sqrt(6)
+            seen = np.concatenate([measured[log.counted(run, j), j] for run in log.runs])
+            noise[j] = max(usual, _resolution(seen) / math.sqrt(12))  # of rounding
     return np.asarray(np.maximum(noise, least_noise(log)))
 
 

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from baselines.evaluation.fingerprints import code_fingerprint
-from baselines.identification import identify
+from baselines.identification import Log, identify
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
 from baselines.identification.trials import EXAMPLE_ACTUATORS as EXAMPLE
@@ -27,11 +27,29 @@ from baselines.identification.trials import EXAMPLE_CURRENT, Simulated, Trial, e
 from research.pages import table
 from research.study import Study
 
-_VEHICLES = {
-    "paper": PAPER_VEHICLE,
-    "quadratic-drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
+
+def _from_motion(log: Log) -> Log:
+    """Return the part of a log from 20 s on, in the middle of a manoeuvre."""
+    rows = log.t >= _CUT
+    return Log(log.t[rows], log.measured[rows], log.commands[rows])
+
+
+def _with_slow_fixes(log: Log) -> Log:
+    """Return a log with a position in every fifth row only."""
+    seen = np.ones_like(log.measured, dtype=bool)
+    seen[np.arange(len(seen)) % 5 > 0, :2] = False
+    return replace(log, seen=seen)
+
+
+_VEHICLES: Mapping[str, tuple[Vehicle, Callable[[Log], Log]]] = {
+    "paper": (PAPER_VEHICLE, lambda log: log),
+    "quadratic-drag": (replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0), lambda log: log),
+    "motion": (PAPER_VEHICLE, _from_motion),
+    "fixes": (PAPER_VEHICLE, _with_slow_fixes),
 }
-"""The simulated vehicles by row."""
+"""The simulated vehicles by row, and what is done to their logs."""
+_IN_FULL = ("paper", "quadratic-drag")  # rows with a table of all parameters
+_CUT = 20.0  # [s]
 _ARM = 1.0  # [m]
 _OUTSIDE = {
     "rudder": Simulated(PAPER_VEHICLE, EXAMPLE, EXAMPLE_CURRENT, _ARM),
@@ -41,6 +59,8 @@ _OUTSIDE = {
 _LABELS = {
     "paper": "the paper's vehicle",
     "quadratic-drag": "with quadratic drag",
+    "motion": "the log begins in motion",
+    "fixes": "a position at 2 Hz, all else at 10 Hz",
     "rudder": "side force of the rudder",
     "rate-limits": "rate limits of the actuators",
 }
@@ -57,11 +77,11 @@ def _measure(row: str, quick: bool = False) -> dict[str, Any]:
 
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return counts, errors and processor time of the identifications of a vehicle from a number of logs."""
-    vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
+    (vehicle, change), sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
     truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE.lag}
     begin = time.process_time()
-    fits = [identify(example(vehicle, EXAMPLE, sensors, seed)) for seed in range(logs)]
+    fits = [identify(change(example(vehicle, EXAMPLE, sensors, seed))) for seed in range(logs)]
     seconds, whole, parameters = (time.process_time() - begin) / logs, np.ones(logs, dtype=bool), {}
     for parameter in _SHOWN:
         true, estimates = truth[parameter], [fit[parameter] for fit in fits]
@@ -104,9 +124,14 @@ main = STUDY.main
 def coverage_section() -> str:
     """Return the part of docs/identify.md about the logs of each vehicle."""
     values = STUDY.values()
-    misfits = [(_LABELS[row], _share([value["misfit"]], value["logs"])) for (row,), value in values.items()]
-    misfit_table = table(("logs", "misfit reported"), misfits, right=False)
-    return "\n\n".join([misfit_table, *(_of_vehicle(_LABELS[row], values[row,]) for row in _VEHICLES)])
+    rows = [(_LABELS[row], _share([v["misfit"]], v["logs"]), _inside(v)) for (row,), v in values.items()]
+    summary = table(("logs", "misfit reported", "true values in their 95 % interval"), rows, right=False)
+    return "\n\n".join([summary, *(_of_vehicle(_LABELS[row], values[row,]) for row in _IN_FULL)])
+
+
+def _inside(record: Mapping[str, Any]) -> str:
+    counts = [row["held"] for row in record.get("parameters", {}).values()]
+    return _share(counts, record["logs"]) if counts else "-"
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:

@@ -11,8 +11,9 @@ import pytest
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from baselines.identification.axes import ContradictionError
 from baselines.identification.columns import FORMATS_FOLDER, Format, repeated
-from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, joined
+from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, joined, rough_noise
 from baselines.identification.trials import example
 
 SI = {name: name for name in ("t", *MEASURED_COLUMNS, *CONTROLS["force"])}
@@ -173,11 +174,114 @@ def test_too_long_a_log_is_told_its_length_and_how_to_thin_it():
         Log(0.01 * np.arange(120_000), rows, rows[:, :2])
 
 
-def test_rows_are_thinned_and_commands_averaged(log, tmp_path):
-    got = Log.load(written(tmp_path, table(log)), Format(SI, every=0.5))
+def test_measurements_are_thinned_and_commands_kept(log, tmp_path):
+    """From the first row on that has all of them; commands that change in most rows are averaged."""
+    si = table(log)
+    fixes = np.arange(len(log.t)) % 5 == 3
+    got = Log.load(written(tmp_path, si | {"x": np.where(fixes, si["x"], np.nan)}), Format(SI, every=0.5))
+    np.testing.assert_array_equal(got.commands, log.commands)
+    np.testing.assert_array_equal(got.seen[1:], np.tile(fixes[1:, None], 6))
+    np.testing.assert_allclose(got.measured[fixes], log.measured[fixes])
+    rough = si | {"F_r": si["F_r"] + 0.01 * np.arange(len(log.t))}
+    got = Log.load(written(tmp_path, rough), Format(SI, every=0.5))
     assert got.dt == pytest.approx(0.5)
     np.testing.assert_allclose(got.measured, log.measured[::5])
-    np.testing.assert_allclose(got.commands[:-1], log.commands[:600].reshape(120, 5, 2).mean(axis=1))
+    np.testing.assert_allclose(got.commands[:-1, 0], log.commands[:600, 0].reshape(120, 5).mean(axis=1))
+
+
+@pytest.mark.parametrize("form", [None, Format(SI)])
+@pytest.mark.parametrize(
+    ("rows", "note"),
+    [
+        (lambda n: np.sort(np.append(np.arange(n), np.arange(0, 480, 40))), "12 rows are within 0.02 s of the row"),
+        (lambda n: np.concatenate(([1, 0], np.arange(2, 200), [201, 200], np.arange(202, n))), "t goes back 2 times"),
+        (lambda n: np.arange(n)[::-1], "t goes back 600 times"),
+    ],
+)
+def test_doubled_and_disordered_rows_are_put_in_order(log, tmp_path, form, rows, note):
+    """No row is lost, and no run begins."""
+    shown = {name: values[rows(len(log.t))] for name, values in table(log).items()}
+    got = Log.load(written(tmp_path, shown), form)
+    np.testing.assert_allclose(got.table, log.table, rtol=1e-9, atol=1e-9)
+    assert got.starts == (0,)
+    assert any(text.startswith(note) for text in got.notes)
+
+
+def test_messages_of_a_burst_are_one_row(log, tmp_path):
+    """A table that joins the topics of a robot: each row has the values of one topic."""
+    topics = [("x", "y", "psi"), ("u", "v"), ("r",), ("F_u", "F_r")]
+    rows = []
+    for k, t in enumerate(log.t.tolist()):
+        values = dict(zip(log.columns, log.table[k].tolist(), strict=True))
+        for late, names in enumerate(topics):
+            rows.append(
+                [f"{t + 0.001 * late:.12g}", *(f"{values[n]:.12g}" if n in names else "" for n in list(SI)[1:])]
+            )
+    file = tmp_path / "joined.csv"
+    file.write_text("\n".join([",".join(SI), *map(",".join, rows)]), encoding="utf-8")
+    np.testing.assert_allclose(Log.load(file).table, log.table, rtol=1e-9, atol=1e-9)
+
+
+def test_a_day_ends_in_a_log_and_a_run_begins_in_another(log, tmp_path):
+    times = [f"{k // 3600 % 24:02.0f}:{k // 60 % 60:02.0f}:{k % 60:07.4f}" for k in (86370.0 + log.t).tolist()]
+    for shown in (times, [f"{x:.12g}" for x in ((86370.0 + log.t) % 86400).tolist()]):
+        columns = {name: [f"{x:.12g}" for x in values] for name, values in table(log).items()} | {"t": shown}
+        file = tmp_path / "log.csv"
+        file.write_text(
+            "\n".join([",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]), encoding="utf-8"
+        )
+        got = Log.load(file)
+        np.testing.assert_allclose(got.t - got.t[0], log.t, atol=1e-6)
+        assert got.notes == ("t begins again at midnight in data row 301; a day is added",)
+    twice = {name: np.tile(values, 2) for name, values in table(log).items()}
+    with pytest.raises(ValueError, match=r"t goes from 60 to 0 s in data row 602; .* where a new run begins, write a"):
+        Log.load(written(tmp_path, twice))
+    assert Log.load(written(tmp_path, twice), Format(SI)).starts == (0, 601)
+
+
+def test_interpolated_positions_count_where_they_were_measured(log, tmp_path):
+    si = table(log)
+    noisy = {name: si[name] + np.random.default_rng(0).normal(0, 0.05, len(log.t)) for name in ("x", "y")}
+    fixes = np.arange(0, len(log.t), 10)
+    shown = si | {name: np.interp(log.t, log.t[fixes], values[fixes]) for name, values in noisy.items()}
+    got = Log.load(written(tmp_path, shown))
+    assert got.notes == ("x, y are interpolated between 61 values: only these count",)
+    np.testing.assert_array_equal(np.flatnonzero(got.seen[:, 0]), fixes)
+
+
+def test_marks_of_missing_values_and_wrong_fixes_do_not_count(log, tmp_path):
+    rng, si = np.random.default_rng(1), table(log)
+    shown = {name: values + (rng.normal(0, 0.03, len(values)) if name in SI else 0) for name, values in si.items()}
+    shown |= {"t": si["t"], "F_u": si["F_u"], "F_r": si["F_r"]}
+    shown["u"][[100, 300]] = -999.0
+    shown["x"][[50, 51, 200]] += 30.0
+    got = Log.load(written(tmp_path, shown))
+    assert np.flatnonzero(~got.seen[:, 3]).tolist() == [100, 300]
+    assert np.flatnonzero(~got.seen[:, 0]).tolist() == np.flatnonzero(~got.seen[:, 1]).tolist() == [50, 51, 200]
+    assert "u in 2 rows are far from those before and after, the first in data row 101: they do not count" in got.notes
+
+
+def test_the_noise_of_a_coarse_sensor_is_that_of_its_rounding(log):
+    coarse = replace(log, measured=np.column_stack((np.round(2 * log.measured[:, :2]) / 2, log.measured[:, 2:])))
+    assert rough_noise(coarse)[0] == pytest.approx(0.5 / math.sqrt(12))
+    assert rough_noise(log)[0] < 0.01
+
+
+def test_places_that_cannot_be_are_named_and_the_date_line_is_crossed(log, tmp_path):
+    si = table(log)
+    entries = {name: {"column": name, "unit": "deg"} for name in ("latitude", "longitude")}
+    form = Format({name: name for name in SI if name not in ("x", "y")} | entries)
+    north, east = np.degrees(si["x"] / 6.37e6), np.degrees(si["y"] / 6.37e6)
+    for latitude, longitude in ((0.0, 20.0), (0.0, 180.0 - east.mean())):
+        around = (longitude + east + 180) % 360 - 180
+        shown = si | {"latitude": latitude + north, "longitude": around}
+        got = Log.load(written(tmp_path, shown), form)
+        np.testing.assert_allclose(got.measured[:, 1] - got.measured[0, 1], log.measured[:, 1], rtol=0.01, atol=0.1)
+    begins = np.arange(len(log.t)) < 15
+    got = Log.load(written(tmp_path, shown | {n: np.where(begins, 0.0, shown[n]) for n in entries}), form)
+    assert got.notes[0] == "latitude and longitude are 0 in 15 rows: no fix"
+    with pytest.raises(ValueError, match=r"latitude is 1[78]\d.* degrees in a row; .* are the columns exchanged"):
+        Log.load(written(tmp_path, shown | {"latitude": shown["longitude"]}), form)
 
 
 def test_wind_blows_from_where_it_is_said_to_come(log, tmp_path):
@@ -225,6 +329,51 @@ def test_wrong_files_are_refused_in_one_line(log, tmp_path):
     file.write_text("é" * 100, encoding="utf-8")
     with pytest.raises(ValueError, match="is not text in ascii"):
         Format(SI, encoding="ascii").read(file)
+    for content, says in (
+        (
+            b"PK\x03\x04\x14\x00\x08\x08",
+            "it is no text but a spreadsheet, an archive or a binary log; export it as CSV",
+        ),
+        (b"\x1f\x8b\x08\x08abc", "it is no text but a spreadsheet"),
+        ("t,psi [°]\n".encode("latin-1"), "not text in utf-8-sig: .* encoding = 'latin-1', or that of the file"),
+        ("t,x\n".encode("utf-16-le"), "looks like UTF-16 without a byte order mark"),
+    ):
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match=says):
+            Log.load(file)
+    still = table(log) | {"v": 0 * log.t}
+    with pytest.raises(ValueError, match="v is 0 in all rows, but the heading changes; it must be measured"):
+        Log.load(written(tmp_path, still))
+    with pytest.raises(
+        ValueError, match="v has no value in any row; all of t, x, y, psi, u, v, r, F_u, F_r are needed"
+    ):
+        Log.load(written(tmp_path, still | {"v": np.nan * log.t}))
+    alone = Format({name: name for name in SI if name[:2] != "F_"} | {"port": "F_u"}, lever=0.3)
+    with pytest.raises(ValueError, match="there is port alone; port needs starboard"):
+        Log.load(written(tmp_path, table(log)), alone)
+
+
+def test_a_contradiction_tells_what_to_look_at_first(log, tmp_path):
+    si = table(log)
+    port, starboard = si["F_u"] / 2 - si["F_r"], si["F_u"] / 2 + si["F_r"]
+    shown = si | {"port": port, "starboard": starboard, "q_w": np.sin(si["psi"] / 2), "q_z": np.cos(si["psi"] / 2)}
+    known = {name: name for name in SI if name[:2] != "F_"}
+    two = Format(known | {"port": "port", "starboard": "starboard"}, lever=0.5)
+    with pytest.raises(ContradictionError, match=r"F_r has the opposite sign .* \(F_r comes from port and starboard"):
+        Log.load(written(tmp_path, shown), two)
+    quaternion = Format({name: name for name in SI if name != "psi"} | {"q_w": "q_w", "q_z": "q_z"})
+    with pytest.raises(ContradictionError, match=r"\(psi comes from the quaternion: look at the order of its columns"):
+        Log.load(written(tmp_path, shown), quaternion)
+    with pytest.raises(ContradictionError, match=r'\(axes is "ENU": leave it out if psi is a compass heading\)'):
+        Log.load(written(tmp_path, shown | {"x": si["y"], "y": si["x"]}), Format(SI, axes="ENU"))
+
+
+@pytest.mark.parametrize("head", ["# a trial\n# of May\n{}\n", "# {}\n", "# a trial\n# {}\n"])
+def test_comments_before_the_table_are_skipped(log, tmp_path, head):
+    file = written(tmp_path, table(log))
+    names, rest = file.read_text(encoding="utf-8").split("\n", 1)
+    file.write_text(head.format(names) + rest, encoding="utf-8")
+    np.testing.assert_allclose(Log.load(file).table, log.table, rtol=1e-9, atol=1e-9)
 
 
 def test_the_format_of_the_page_reads_a_log(log, tmp_path):
