@@ -12,12 +12,10 @@ from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.vehicle import Vehicle
 from auv_gym.rendering import PICTURE
-from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.corrected import CorrectedPolicy
-from baselines.policies import common_vehicle, make_policy
+from baselines.policies import make_policy
 from baselines.policy import Privileged
 
 
@@ -47,7 +45,7 @@ def make_residual_env(
         ValueError: scenario, vehicle, control period, render mode or size, expert or authority is invalid.
     """
     (scenario,) = scenarios_of(scenario, 1, vehicle, control_dt)
-    policy = _expert(expert, scenario.vehicle)
+    policy = _expert(expert, scenario.known)
     env = UnderactuatedAUVTrackEnv(
         scenario, render_mode=render_mode, preview=preview_of(policy), render_size=render_size
     )
@@ -85,7 +83,8 @@ def make_residual_vector_env(
         ValueError: an argument is invalid.
     """
     scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
-    policy = _expert(expert, common_vehicle(scenarios))
+    first = scenarios[0].known
+    policy = _expert(expert, first if all(one.known == first for one in scenarios) else None)
     env = UnderactuatedAUVTrackVectorEnv(num_envs, scenarios, preview=preview_of(policy), **options)
     return VectorResidualAction(env, policy, authority)
 
@@ -109,10 +108,10 @@ def make_residual_policy(
         OSError: the expert's file cannot be read.
         ValueError: vehicle, expert or authority is invalid.
     """
-    return CorrectedPolicy(_expert(expert, None if vehicle is None else as_vehicle(vehicle)), network, authority)
+    return CorrectedPolicy(_expert(expert, vehicle), network, authority)
 
 
-def _expert(expert: Policy | str, vehicle: Vehicle | None) -> Policy:
+def _expert(expert: Policy | str, vehicle: VehicleLike | None) -> Policy:
     """Return the expert of an environment.
 
     Raises:

@@ -16,6 +16,7 @@ from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.vehicles import VEHICLES_FOLDER
 from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
@@ -403,3 +404,18 @@ def test_an_expert_by_name_gets_the_common_vehicle():
     assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
     assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(HEAVY)
     assert make_residual_vector_env(2, [one, other]).expert.vehicle == one.vehicle
+
+
+@pytest.mark.parametrize("expert", ["los-pid", "lqi"])
+def test_a_zero_correction_is_the_controller_for_a_vehicle_from_a_file(expert, tmp_path):
+    """Its limits and its lag belong to what the expert knows, as in an evaluation."""
+    text = (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace("F_u_max = 14.4", "F_u_max = 7.0")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    scenario = changed(PRESETS["cruise-storm"], str(tmp_path / "mine.toml"))
+    residual = make_residual_vector_env(2, scenario, expert=expert)
+    policy, plain = make_policy(expert, scenario.known), UnderactuatedAUVTrackVectorEnv(2, scenario)
+    (seen, _), (shown, _), memory, first = residual.reset(seed=3), plain.reset(seed=3), None, np.ones(2, dtype=bool)
+    for _ in range(60):
+        action, memory = policy.predict(shown, memory, first)
+        np.testing.assert_array_equal(seen[:, -2:], action)
+        seen, shown, first = residual.step(np.zeros((2, 2)))[0], plain.step(action)[0], np.zeros(2, dtype=bool)
