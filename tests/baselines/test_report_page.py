@@ -8,7 +8,7 @@ from browser import opened
 
 from baselines import list_policies
 from baselines.evaluation.options import Options
-from baselines.evaluation.report.html import report_html
+from baselines.evaluation.report.html import report_html, short_names
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
@@ -111,7 +111,7 @@ def test_switch_a_policy_off_and_play(browser, pages):
     with opened(browser, pages / "few.html") as page:
         ready(page)
         assert page.evaluate("window.caught") is None
-        assert HOSTILE in page.locator("#leaderboard .panel.current tbody").inner_text()
+        assert HOSTILE.rpartition("/")[2] in page.locator("#leaderboard .panel.current tbody").inner_text()
         for chart, mark in {"steady_rmses": "symbol", "errors": "line", "bands": "line"}.items():
             assert page.locator(f"#{chart} .mark-{mark} path").count() == 3, chart
         page.locator('#leaderboard .panel.current tr[data-policy="lqi"] input').uncheck()
@@ -154,3 +154,16 @@ def test_page_without_scripts_has_the_tables(browser, pages):
     assert page.locator(".script:visible").count() == 0
     assert HOSTILE in page.locator("body").inner_text()
     context.close()
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (("nmpc", "a/b/hand.py:P", "cmd:./go a/b"), ("nmpc", "hand.py:P", "cmd:./go a/b")),
+        (("a/b/hand.py:P", "a/c/hand.py:P"), ("b/hand.py:P", "c/hand.py:P")),
+        (("a/x/y/hand.py:P", "b/x/y/hand.py:P"), ("a/.../hand.py:P", "b/.../hand.py:P")),
+        (("hand.py:P", "a/hand.py:P"), ("hand.py:P", "a/hand.py:P")),
+    ],
+)
+def test_names_of_files_are_as_short_as_they_can_be(names, short):
+    assert short_names(names) == dict(zip(names, short, strict=True))

@@ -11,6 +11,7 @@ import gzip
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import jinja2
 
 from auv_gym.scenarios.presets import SPEED_RANGES
+from baselines.agents.names import COMMAND
 from baselines.evaluation.report.columns import NONE, Column, definitions, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page_data import page_data
@@ -44,7 +46,15 @@ _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colo
 
 
 def report_html(request: Request, results: Sequence[Result], pooled: Sequence[Entry]) -> str:
-    """Return the text of report.html."""
+    """Return the text of report.html, in which policies of files have short names."""
+    short = short_names([result.run.policy for result in results])
+    results = [
+        Result(replace(r.run, policy=short[r.run.policy]), replace(r.entry, policy=short[r.entry.policy]))
+        for r in results
+    ]
+    pooled = [replace(entry, policy=short[entry.policy]) for entry in pooled]
+    notes = [*(f"{name} is {whole}" for whole, name in short.items() if name != whole), *request.notes]
+    notes += [f"{r.run.policy}: {text}" for r in results for text in r.run.warnings]
     done = [result for result in results if result.entry.summary is not None]
     policies = list(dict.fromkeys(result.run.policy for result in done))
     data, maps = page_data(done, pooled), _maps(done, policies)
@@ -76,9 +86,20 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         joint=bool(joint),
         recorded=recordings(results),
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
-        notes=list(dict.fromkeys((*request.notes, *(f"{r.run.policy}: {t}" for r in results for t in r.run.warnings)))),
+        notes=list(dict.fromkeys(notes)),
         definitions=definitions(_LEFT_OUT),
     )
+
+
+def short_names(policies: Sequence[str]) -> dict[str, str]:
+    """Return names without the folders that they need not have to differ, by name."""
+    parts = {name: [name] if name.startswith(COMMAND) else name.split("/") for name in policies}
+    found = {}
+    for name, own in parts.items():
+        others = [other for other in parts.values() if other != own]
+        k = next((k for k in range(1, len(own)) if all(other[-k:] != own[-k:] for other in others)), len(own))
+        found[name] = f"{own[-k]}/.../{own[-1]}" if k > 2 else "/".join(own[-k:])
+    return found
 
 
 def _encoded(content: bytes) -> str:

@@ -35,6 +35,7 @@ function report(data) {
       const own = data.scenarios.filter((s) => s.speed_range === speed_range);
       const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, failed: r.failed, ...r.score })));
       let element = $(`scores-${speed_range}`);
+      if (!element && rows.length === 0) continue;
       if (!element) {
         const figure = document.createElement("figure");
         const caption = document.createElement("figcaption");
