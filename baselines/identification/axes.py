@@ -15,6 +15,7 @@ _UNEXPLAINED = 0.5  # share of the displacements, without noise, from which noth
 _CERTAIN = 4.0  # [standard deviations] from which a sign is certain
 _RESPONSE = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # [s] windows in which a command may show its effect
 _DEGREE = math.pi / 180
+_SMALL = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
 
 
 class ContradictionError(ValueError):
@@ -156,7 +157,7 @@ def _check_positions(d: Array, moved: _Moved, noise: Array, opposed: bool) -> No
     in_current = abs(_fit(still, d - d.mean())[0])
     if not (0.7 < along < 1.4 or 0.7 < in_current < 1.4) and unexplained < _UNEXPLAINED + noisy:
         hint = ": u and v look like knots" if 0.48 < along < 0.56 else ""
-        hint = ": t looks like ms" if 0.0008 < along < 0.0012 else hint
+        hint = next((f": t looks like {unit}" for unit, size in _SMALL.items() if abs(along / size - 1) < 0.2), hint)
         raise ContradictionError(
             f"positions change {along:.3g} times as fast as u and v{hint}; both must be in SI units"
         )

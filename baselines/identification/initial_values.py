@@ -46,6 +46,7 @@ EVIDENCE = 30.0  # [variances of the noise] least improvement of the squared err
 _FAINT = 8.0  # [standard deviations] least effect of a parameter on the measurements
 TRIED = 3  # number of the best linear fits that are refined
 FINEST = 1.0  # largest product of an integration step and the vehicle's fastest rate
+_OF_LAG = 0.16  # largest share of the lag in an integration step, during which the force is constant
 _SUBSTEPS = (1, 2, 4)  # allowed numbers of integration steps per row
 
 NOT_SHOWN = ("m11", "m22", "m33", "arm")
@@ -249,9 +250,10 @@ def segment_starts(log: Log, length: float) -> Indices:
 
 
 def substeps_of_log(log: Log, values: Array) -> int:
-    """Return the number of integration steps per row at the speeds of the log."""
+    """Return the number of integration steps per row at the speeds of the log, and for the lag of the actuators."""
     peaks = np.abs(log.measured[:, 3:]).max(axis=0).tolist()
     coefficients = Coefficients(*np.abs(values[: len(Coefficients._fields)]))
     rate = float(fastest_rate(coefficients, (0.0, 0.0, 0.0), tuple(peaks)))
+    rate = max(rate, FINEST / (_OF_LAG * max(float(values[-1]), log.dt)))
     steps = next((n for n in _SUBSTEPS if log.dt * rate <= FINEST * n), _SUBSTEPS[-1])
     return steps if log.kind == "force" else max(steps, _SUBSTEPS[1])  # the load of a rudder changes within a row

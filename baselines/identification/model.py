@@ -102,11 +102,12 @@ def _kernel(kind: str, wind: bool, crossed: bool, substeps: int, over_ground: bo
         if kind == "force":
             command = tuple(SYMBOLS.clip(c, -named[n], named[n]) for c, n in zip(command, LIMIT_NAMES, strict=True))
         before = [SYMBOLS.where(new_run > 0.5, a, b) for a, b in zip(command, plant[LOG_STATES:], strict=True)]
-        acting, after = respond((before[0], before[1]), command, Response(gain, mean, math.inf, math.inf), SYMBOLS)
+        after, response = (before[0], before[1]), Response(gain, mean, math.inf, math.inf)
         air = (V_x - W_x, V_y - W_y) if wind else None
         coefficients = [named[n] for n in (COEFFICIENTS if crossed else Coefficients._fields)]
         moved = tuple(state)
         for _ in range(substeps):
+            acting, after = respond(after, command, response, SYMBOLS)
             load = load_of(kind, acting, moved, named, SYMBOLS, air)
             moved = rk4_step(moved, load, coefficients, dt * (1 / substeps), (V_x, V_y), SYMBOLS)
         x, y, psi, u, v, r = state
@@ -244,11 +245,12 @@ class LogModel:
         return Prediction(results["outputs"][:, :, 0], change[:, :, :LOG_STATES], by_value)
 
     def _responses(self, lag: float) -> Array:
-        """Return time step, gain and mean of the actuators, and derivatives of gain and mean by the lag: (T, 5)."""
+        """Return time step, gain and mean of the actuators in a substep, and their derivatives by the lag: (T, 5)."""
         steps, h = self.log.steps, 1e-5 * self.log.dt
         rows = {}
         for dt in np.unique(steps):
-            low, mid, high = (Response.of(x, math.inf, math.inf, dt) for x in (max(lag - h, 0.0), lag, lag + h))
+            part = dt / self.substeps
+            low, mid, high = (Response.of(x, math.inf, math.inf, part) for x in (max(lag - h, 0.0), lag, lag + h))
             width = h + min(lag, h)
             rows[dt] = (dt, mid.gain, mid.mean, (high.gain - low.gain) / width, (high.mean - low.mean) / width)
         return np.array([rows[dt] for dt in steps])

@@ -287,7 +287,8 @@ def turned(angle):
         ({"psi": turned(math.pi)}, "turned by 180 degrees"),
         ({"psi": turned(0.5)}, r"turned by -2\d degrees; .* offset = 0.[45]"),
         ({"psi": lambda psi: math.pi / 2 - psi}, "psi seems to have the opposite sign; .* scale = -1, offset = 1.5"),
-        ({"t": lambda t: 1000 * t}, "t looks like ms"),
+        ({"t": lambda t: 1e3 * t}, "t looks like ms"),
+        ({"t": lambda t: 1e6 * t}, "t looks like us"),
     ],
 )
 def test_each_contradiction_of_signs_and_axes_is_named(log, changes, says):
