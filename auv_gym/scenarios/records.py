@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import types
 import typing
@@ -123,11 +124,17 @@ def guarded(what: str) -> Iterator[None]:
         raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
+def table_file(name: object) -> Path | None:
+    """Return the path of a .json or .toml file for its name or path; None for anything else."""
+    file = Path(name) if isinstance(name, (str, os.PathLike)) else None
+    return file if file is not None and file.suffix.lower() in (".json", ".toml") else None
+
+
 def checked_suffix(file: Path) -> str:
-    """Return the suffix of a file name; raise ValueError if it is neither .json nor .toml."""
-    if file.suffix not in (".json", ".toml"):
+    """Return the suffix of a file name in lower case; raise ValueError if it is neither .json nor .toml."""
+    if table_file(file) is None:
         raise ValueError(f"file {file} ends in {file.suffix!r}; it must end in .json or .toml")
-    return file.suffix
+    return file.suffix.lower()
 
 
 def read_table(file: Path) -> Any:

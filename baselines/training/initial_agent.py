@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed, check_adaptable, in_vehicle_units
 from auv_gym.scenarios.mixtures import Mixture
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
@@ -100,11 +100,7 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
     scenarios: list[tuple[Scenario, float]] = []
     reasons: list[str] = []
     for scenario, weight in mixture:
-        if scenario.vehicle != PAPER_VEHICLE:
-            raise ValueError(
-                f"scenario {scenario.name!r} has its own vehicle, so it cannot be adapted to another one; omit "
-                "--vehicle, or use scenarios of the paper's vehicle"
-            )
+        check_adaptable(scenario)
         try:
             scenarios.append((changed(scenario, vehicle_model), weight))
         except ValueError as error:
