@@ -68,6 +68,7 @@ class SubEnvironments:
         k: control steps since the reset of each sub-environment, shape (N,).
         law: the control law whose actions are appended to observations; None without one.
         preview: positions of the references ahead.
+        longest: largest number of control steps until an episode is truncated.
 
     Raises:
         ValueError: a wrong preview or number of steps.
@@ -89,6 +90,7 @@ class SubEnvironments:
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
         self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
+        self.longest = int(self._lengths.max())
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self.parts = parts or reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self._exogenous = ExogenousInputs(num_envs, block, self.parts)

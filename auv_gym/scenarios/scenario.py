@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -28,7 +28,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, meant, read_table, to_record
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, as_vehicle_model
 from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts
 
@@ -350,12 +350,18 @@ class Scenario:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
-        """Return the scenario of a dict in the format of `to_dict`; `vehicle` may also be a name.
+        """Return the scenario of a dict in the format of `to_dict` or `dataclasses.asdict`; `vehicle` may be a name.
+
+        The second one is in the JSON of the spec of an environment; it has no names of effects.
 
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        return from_record(cls, record, "scenario", {"path": path_from, "vehicle": as_vehicle, "effects": effects_from})
+        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from}
+        if not isinstance(record, Mapping) or "model" not in record:
+            return from_record(cls, record, "scenario", special)
+        rest = {name: value for name, value in record.items() if name != "model"}
+        return replace(from_record(cls, rest, "scenario", special), model=as_vehicle_model(record["model"]))
 
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
@@ -397,11 +403,13 @@ def _rounded(delay: Number) -> Any:
 
 
 def effects_from(record: Any) -> tuple[Effect, ...]:
-    """Return the effects of a table with a table for each.
+    """Return the effects of a table with a table for each; none for an empty list.
 
     Raises:
         ValueError: a name is unknown, since reading a scenario never imports code, or an entry is unknown or wrong.
     """
+    if record in ([], ()):
+        return ()
     if not isinstance(record, Mapping):
         raise ValueError(f"scenario effects is {record!r}; it must be a table with a table for each effect")
     if unknown := [name for name in record if name not in EFFECTS]:
@@ -427,13 +435,16 @@ def path_record(path: Path) -> dict[str, Any]:
 def path_from(record: Any) -> Any:
     """Return the path of a dict in the format of `path_record`, or a `RandomPath` if the dict has no family.
 
+    A dict without a family that has all entries of one, from `dataclasses.asdict`, is of this family.
+
     Raises:
         ValueError: the family is unknown, or an entry is unknown or wrong.
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
     rest = dict(record)
-    if (family := rest.pop("family", None)) is None:
+    whole = (name for name, cls in PATHS.items() if {f.name for f in fields(cls)} == {*rest})
+    if (family := rest.pop("family", None) or next(whole, None)) is None:
         return from_record(RandomPath, rest, "path")
     if not isinstance(family, str) or family not in PATHS:
         raise ValueError(f"unknown path family {family!r}{meant(family, PATHS)}; allowed are {', '.join(PATHS)}")
