@@ -10,26 +10,33 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+
 
 class SB3VecEnv(VecEnv):
     """A vector environment with SAME_STEP autoreset as a `VecEnv` of Stable-Baselines3.
 
     Use it instead of a `DummyVecEnv`; wrap it in `VecMonitor` for episode statistics. There are no objects of the
-    sub-environments: attributes and methods are those of the vector environment, the same for each.
+    sub-environments: attributes and methods are those of the vector environment, the same for each, except `scenario`.
 
     Args:
         env: a vector environment of this package, from `gym.make_vec(..., vectorization_mode="vector_entry_point")`.
 
     Raises:
-        ValueError: it has another autoreset mode.
+        ValueError: it is no vector environment, or has another autoreset mode.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(env, gym.vector.VectorEnv):
+            raise ValueError(f"{env} is not a vector environment; make one by gym.make_vec")
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
+            option = "autoreset_mode='SameStep'"
+            if not isinstance(env.unwrapped, UnderactuatedAUVTrackVectorEnv):
+                option = "vector_kwargs={'autoreset_mode': gym.vector.AutoresetMode.SAME_STEP}"
             raise ValueError(
                 f"the vector environment has autoreset mode {getattr(mode, 'name', mode)}; Stable-Baselines3 needs "
-                "SAME_STEP: gym.make_vec(..., autoreset_mode='SAME_STEP')"
+                f"SAME_STEP: gym.make_vec(..., {option})"
             )
         self.env = env
         self._actions: NDArray[Any] | None = None
@@ -76,9 +83,14 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of the vector environment, once for each index."""
-        owner = self.env if hasattr(self.env, attr_name) else self.env.unwrapped
-        return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
+        """Return an attribute of the vector environment, once for each index, or of each sub-environment."""
+        chosen, base = list(self._get_indices(indices)), self.env.unwrapped
+        if attr_name == "scenario" and isinstance(base, UnderactuatedAUVTrackVectorEnv):
+            return [base.scenarios[i] for i in chosen]
+        owner: Any = self.env if hasattr(self.env, attr_name) else base
+        if not hasattr(owner, attr_name) and hasattr(owner, "get_attr"):  # Gymnasium's own, with sub-environments
+            return [owner.get_attr(attr_name)[i] for i in chosen]
+        return [getattr(owner, attr_name) for _ in chosen]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the vector environment; one value serves all sub-environments."""
