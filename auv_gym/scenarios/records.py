@@ -15,6 +15,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -39,6 +41,8 @@ def _default(field: Any) -> Any:
 def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return to_record(value)
+    if isinstance(value, np.floating):
+        return float(value)
     return [_plain(v) for v in value] if isinstance(value, tuple) else value
 
 

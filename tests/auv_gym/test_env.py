@@ -360,7 +360,7 @@ def test_residual_correction_is_bounded_by_its_authority():
     assert env.unwrapped.force == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("authority", [0, -1, (1,), (1, 2, 3), "much", math.nan])
+@pytest.mark.parametrize("authority", [0, -1, (1,), np.ones(3), "much", math.nan])
 def test_impossible_authority_is_refused(authority):
     with pytest.raises(ValueError, match="authority is"):
         gym.make(RESIDUAL, authority=authority)
