@@ -168,6 +168,8 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
     """
     status, line, form = FAILED, "", warnings.formatwarning
     warnings.formatwarning = warned
+    with contextlib.suppress(AttributeError):  # a stream of the caller's
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     token = _called.set(program)
     try:
         with _terminable():

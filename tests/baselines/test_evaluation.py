@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import html.parser
+import io
 import json
 import re
 import subprocess
@@ -263,6 +264,21 @@ def test_a_failing_policy_does_not_affect_other_rows(call, small, tmp_path, caps
     assert out.count("failed") == len(BAD)
     assert "failed: raising in small, RuntimeError: no result" in err
     assert len((tmp_path / "bad" / "results.csv").read_text().splitlines()) == 2 + len(BAD)
+
+
+def test_policies_that_all_fail_are_in_the_table(call, small, tmp_path, capsys):
+    common = ("--scenario", small, "--jobs", "1", "--episodes", "2", "--out", "slow")
+    assert call(*common, "--policy", "open-loop", "--step-limit", "1e-9") == 1
+    out, err = capsys.readouterr()
+    assert out.count("failed") == err.count("allowed are 1e-09 s") == 2
+    assert ResultFile.read(tmp_path / "slow" / "results.npz").runs == ()
+
+
+def test_names_outside_the_encoding_of_the_terminal_are_escaped(call, small, monkeypatch):
+    stdout = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert call("--scenario", small, "--jobs", "1", "--episodes", "1", "--out", "été") == 0
+    assert rb"results.npz to \xe9t\xe9" in stdout.buffer.getvalue()
 
 
 def test_results_that_cannot_be_written_are_a_failure(call, small, monkeypatch, capsys):
