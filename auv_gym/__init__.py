@@ -58,8 +58,7 @@ def _register() -> None:
     ):
         for name in ("", *(f"-{preset}" for preset in STEPS)):
             if f"{task}{name}-v0" not in gym.registry:
-                # The environment checks actions and the order of calls, and truncates episodes, so it needs no wrappers
-                # for that. A limit here would cut the episodes of another scenario or control period.
+                # The environment checks actions and the order of calls, and truncates, so it needs no wrappers.
                 gym.register(
                     f"{task}{name}-v0",
                     entry_point,

@@ -13,7 +13,7 @@ from auv_gym.task.policy import Policy
 from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import PolicyName, shipped_agents
+from baselines.agents.names import CHECKED, GUARD, PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.scaling import scaled_for
 
@@ -60,8 +60,9 @@ def make_policy(
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
         known = list_policies()
+        hint = meant(name, [one + suffix for suffix in ("", GUARD, CHECKED) for one in known])
         raise ValueError(
-            f"unknown policy {name!r}{meant(name, known)}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
+            f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
             "a FILE.zip, a FILE.onnx, an agent's folder or cmd:COMMAND"
         )
     if POLICIES[name].privileged:

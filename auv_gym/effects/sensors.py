@@ -20,11 +20,7 @@ NOISES = ("position", "heading", "velocity", "yaw_rate")
 
 @dataclass(frozen=True)
 class NoiseLevels:
-    """Levels of the noise of a vehicle's instruments, as in `Sensors`; None: that of the scenario.
-
-    Raises:
-        ValueError: no level is given, or one is not a number or an interval in its bounds.
-    """
+    """Levels of the noise of a vehicle's instruments, as in `Sensors`, at least one; None: that of the scenario."""
 
     position: Interval | None = None  # [m]
     heading: Interval | None = None  # [rad]
@@ -32,15 +28,10 @@ class NoiseLevels:
     yaw_rate: Interval | None = None  # [rad/s]
 
     def __post_init__(self) -> None:
-        if not self.given:
+        given: dict[str, Any] = {name: level for name in NOISES if (level := getattr(self, name)) is not None}
+        if not given:
             raise ValueError(f"the table [sensors] of a vehicle is empty; give at least one of {', '.join(NOISES)}")
-        for name, level in self.given.items():
-            _check_level(name, level)
-
-    @property
-    def given(self) -> dict[str, Interval]:
-        """The levels that are given, by name."""
-        return {name: level for name in NOISES if (level := getattr(self, name)) is not None}
+        Sensors(**given)  # checks them
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,10 @@ class Sensors:
 
     def __post_init__(self) -> None:
         for name in NOISES:
-            _check_level(name, getattr(self, name))
+            level = getattr(self, name)
+            check_interval(f"sensors {name}", level, 0, 1e3)
+            if isinstance(level, tuple) and not level[0] > 0:
+                raise ValueError(f"sensors {name} is {level!r}; its logarithm is uniform, so low must be positive")
             check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
         check_number("sensors outages", self.outages, 0, 60)
         check_interval("sensors outage_time", self.outage_time, 0, 1e4)
@@ -122,12 +116,6 @@ class Sensors:
     def filter_gain(self, dt: float) -> float:
         """Return the weight of a new measurement in the low-pass filter, for a control period of dt [s]."""
         return 1.0 if self.low_pass is None else -math.expm1(-2 * math.pi * self.low_pass * dt)
-
-
-def _check_level(name: str, level: Interval) -> None:
-    check_interval(f"sensors {name}", level, 0, 1e3)
-    if isinstance(level, tuple) and not level[0] > 0:
-        raise ValueError(f"sensors {name} is {level!r}; its logarithm is uniform, so low must be positive")
 
 
 def low_pass(filtered: State, measured: State, gain: Number, ns: Namespace) -> State:

@@ -45,33 +45,22 @@ def scenarios_of(
             f"{len(scenarios)} scenarios are given for {num_envs} sub-environments; give one, or one for each"
         )
     if (fewest := min(s.substeps for s in scenarios)) < (most := max(s.substeps for s in scenarios)):
-        raise ValueError(
-            f"the scenarios have {fewest} to {most} substeps; in a vector environment they must be equal: give each "
-            f"dataclasses.replace(scenario, substeps={most})"
-        )
+        raise ValueError(f"scenarios have {fewest} to {most} substeps; give each replace(scenario, substeps={most})")
     return scenarios
 
 
-def completed(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
-    """Return the spec of `gym.make` for an environment with episodes of `steps` control steps.
-
-    It has their number, and the records of scenarios, so that `EnvSpec.to_json` is strict JSON and keeps the effects.
-    """
-    if spec is None:
-        return None
-    kwargs, given = dict(spec.kwargs), spec.kwargs.get("scenario")
-    with suppress(ValueError):  # a path of the user has no record
-        if isinstance(given, Scenario):
-            kwargs["scenario"] = _recorded(given)
-        elif isinstance(given, (list, tuple)):
-            kwargs["scenario"] = [_recorded(one) for one in given]
+def completed(spec: EnvSpec, steps: int) -> EnvSpec:
+    """Return a spec with a number of control steps, and with records of scenarios, whose effects JSON then keeps."""
+    kwargs = dict(spec.kwargs)
+    with suppress(KeyError, ValueError):  # a path of the user has no record
+        kwargs["scenario"] = _recorded(kwargs["scenario"])
     return replace(spec, max_episode_steps=spec.max_episode_steps or steps, kwargs=kwargs)
 
 
-def _recorded(scenario: ScenarioLike) -> ScenarioLike:
-    if not isinstance(scenario, Scenario):
-        return scenario
-    return scenario.to_dict() | ({"model": to_record(scenario.model)} if scenario.model else {})
+def _recorded(given: Any) -> Any:
+    if isinstance(given, Scenario):
+        return given.to_dict() | ({"model": to_record(given.model)} if given.model else {})
+    return [*map(_recorded, given)] if isinstance(given, (list, tuple)) else given
 
 
 def checked_steps(max_episode_steps: int | None) -> int:

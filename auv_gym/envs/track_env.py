@@ -163,7 +163,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         """Set by `gym.make`."""
-        self._spec = completed(spec, self._steps)
+        self._spec = spec and completed(spec, self._steps)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed.

@@ -105,7 +105,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         """Set by `gym.make_vec`."""
-        self._spec = completed(spec, self._sub_envs.longest)
+        self._spec = spec and completed(spec, int(self._sub_envs.lengths.max()))
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

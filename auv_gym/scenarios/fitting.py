@@ -12,6 +12,7 @@ from typing import Any
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
@@ -78,17 +79,16 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     """Return a scenario for another vehicle, for one for the vehicle of the paper; a fixed path does not change.
 
     Raises:
-        ValueError: the scenario has its own vehicle, paths are too slow for the fins of the vehicle, or no integration
-            step is short enough.
+        ValueError: see `check_adaptable`; paths are too slow for the fins, or no integration step is short enough.
     """
     check_adaptable(scenario)
     units, v = Units.of(vehicle_model.vehicle), vehicle_model.vehicle
     parts = "path", "start", "sensors", "current", "waves", "faults"
     changes = {name: scaled_part(name, getattr(scenario, name), units) for name in parts}
     path, waves, own = changes["path"], changes["waves"], vehicle_model.sensors
-    if own is not None:
-        noisy = {name: level for name, level in own.given.items() if getattr(scenario.sensors, name)}
-        changes["sensors"] = replace(changes["sensors"], **noisy)
+    if own is not None:  # where the scenario has noise at all
+        given = {name: getattr(own, name) for name in NOISES if getattr(scenario.sensors, name)}
+        changes["sensors"] = replace(changes["sensors"], **{name: x for name, x in given.items() if x is not None})
     if not isinstance(path, Path):
         turn_rate = units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / 0.12
         changes["path"] = path = replace(path, turn_rate=path.turn_rate * turn_rate)

@@ -15,8 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -41,8 +39,7 @@ def _default(field: Any) -> Any:
 def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return to_record(value)
-    if isinstance(value, np.floating):
-        return float(value)
+    value = value.item() if hasattr(value, "item") else value  # a number of NumPy
     return [_plain(v) for v in value] if isinstance(value, tuple) else value
 
 
@@ -53,14 +50,14 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
         cls: the dataclass.
         record: its values by the names of the fields.
         where: name of the record in messages.
-        special: functions that convert the values of some fields.
+        special: functions that convert the values of some fields, also of those that are not compared.
 
     Raises:
         ValueError: the record is not a mapping, an entry is unknown or missing, or the dataclass raises it.
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"{where} is {record!r}; it must be a table of named values")
-    known = {f.name: f for f in fields(cls) if f.compare}  # type: ignore[arg-type]
+    known = {f.name: f for f in fields(cls) if f.compare or f.name in (special or ())}  # type: ignore[arg-type]
     if unknown := [key for key in record if key not in known]:
         raise ValueError(
             f"{where} has no entry {unknown[0]!r}{meant(unknown[0], known)}; allowed are {', '.join(known)}"

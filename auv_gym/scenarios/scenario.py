@@ -28,7 +28,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, meant, read_table, to_record
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, as_vehicle_model
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts
 
@@ -59,6 +59,8 @@ class RandomPath:
         check_interval("path speed", self.speed, 1e-2)
         check_number("path turn_rate", self.turn_rate, 1e-6, 1e2)
         allowed = [name for name, cls in PATHS.items() if hasattr(cls, "drawn")]
+        if not isinstance(self.families, (tuple, list)):
+            raise ValueError(f"path families is {self.families!r}; it must be a list, such as [{self.families!r}]")
         for name in self.families:
             if name not in allowed:
                 raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
@@ -154,6 +156,11 @@ class Scenario:
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
+        ends = (e if isinstance(e, tuple) else (e, e) for e in (self.start.x_e, self.start.y_e))
+        if (nearest := math.hypot(*(max(low, -high, 0.0) for low, high in ends))) > self.lost_distance:
+            raise ValueError(
+                f"start x_e, y_e are {nearest:g} m or more; raise lost_distance from {self.lost_distance:g} m"
+            )
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
         self._check_step(self._stiffest)
@@ -350,18 +357,13 @@ class Scenario:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
-        """Return the scenario of a dict in the format of `to_dict` or `dataclasses.asdict`; `vehicle` may be a name.
-
-        The second one is in the JSON of the spec of an environment; it has no names of effects.
+        """Return the scenario of a dict in the format of `to_dict` or of a spec's JSON; `vehicle` may also be a name.
 
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from}
-        if not isinstance(record, Mapping) or "model" not in record:
-            return from_record(cls, record, "scenario", special)
-        rest = {name: value for name, value in record.items() if name != "model"}
-        return replace(from_record(cls, rest, "scenario", special), model=as_vehicle_model(record["model"]))
+        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from, "model": _model_from}
+        return from_record(cls, record, "scenario", special)
 
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
@@ -402,15 +404,17 @@ def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
 
 
+def _model_from(record: Any) -> VehicleModel | None:
+    return None if record is None else from_record(VehicleModel, record, "model")
+
+
 def effects_from(record: Any) -> tuple[Effect, ...]:
     """Return the effects of a table with a table for each; none for an empty list.
 
     Raises:
         ValueError: a name is unknown, since reading a scenario never imports code, or an entry is unknown or wrong.
     """
-    if record in ([], ()):
-        return ()
-    if not isinstance(record, Mapping):
+    if not isinstance(record := record or {}, Mapping):
         raise ValueError(f"scenario effects is {record!r}; it must be a table with a table for each effect")
     if unknown := [name for name in record if name not in EFFECTS]:
         raise ValueError(
@@ -435,14 +439,13 @@ def path_record(path: Path) -> dict[str, Any]:
 def path_from(record: Any) -> Any:
     """Return the path of a dict in the format of `path_record`, or a `RandomPath` if the dict has no family.
 
-    A dict without a family that has all entries of one, from `dataclasses.asdict`, is of this family.
-
     Raises:
         ValueError: the family is unknown, or an entry is unknown or wrong.
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
     rest = dict(record)
+    # In the JSON of a spec a path has no family, but all of its entries.
     whole = (name for name, cls in PATHS.items() if {f.name for f in fields(cls)} == {*rest})
     if (family := rest.pop("family", None) or next(whole, None)) is None:
         return from_record(RandomPath, rest, "path")

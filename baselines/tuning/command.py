@@ -175,9 +175,7 @@ def _start(options: Options, names: Sequence[str], in_paper_units: VehicleModel)
     if options.start is not None:
         record = read_json(options.start)
         gains = record.get("gains", record) if isinstance(record, dict) else record
-        if not names and not (isinstance(gains, dict) and gains):
-            raise ValueError(f'{options.start} has no gains; write their initial values by name, such as {{"k": 1.5}}')
-        known = names or tuple(gains)
+        known = names or (tuple(gains) if isinstance(gains, dict) and gains else ('numbers by name, as {"k": 1.5}',))
         start = checked_gains(gains, known, str(options.start))
     elif in_paper_units == PAPER:
         start = load_gains(options.name, options.speed_range, names, "start")

@@ -197,8 +197,8 @@ def test_unknown_vehicles_and_scenarios_are_refused(scenario, message):
     ("old", "new", "message"),
     [
         ('name = "lauv"', "", "vehicle file lacks the entry 'name'"),
-        ("speed = 0.84", "", r"the table \[vehicle\] lacks the entry 'speed', the fastest cruise speed in m/s"),
-        ("F_u_max = 14.4", "", r"the table \[actuators\] lacks the entry 'F_u_max', the largest thrust in N"),
+        ("speed = 0.84", "", r"the table \[vehicle\] lacks the entry 'speed'; .* the fastest cruise speed \[m/s\]"),
+        ("F_u_max = 14.4", "", r"the table \[actuators\] lacks the entry 'F_u_max'; .* limits F_u_max \[N\]"),
         (
             "speed = 0.84",
             "speed = 3 #",
@@ -207,9 +207,13 @@ def test_unknown_vehicles_and_scenarios_are_refused(scenario, message):
         (
             "[actuators]",
             "[actuators]\nlag = 0.3",
-            r"have lag = 0.3; allowed are F_u_max, .*: write lag before \[vehicle\]",
+            r"vehicle actuators lag is 0.3; allowed are F_u_max, .*: write lag before \[vehicle\]",
         ),
-        ("[actuators]", "[actuators]\nF_u_rate = 9.0", "have F_u_rate = 9.0; .*: F_u_rate is an entry of scenarios"),
+        (
+            "[actuators]",
+            "[actuators]\nF_u_rate = 9.0",
+            "vehicle actuators F_u_rate is 9.0; .*: F_u_rate is an entry of scenarios",
+        ),
         (
             "[actuators]",
             "[sensors]\n[actuators]",

@@ -145,7 +145,10 @@ def test_bad_actions_advance_nothing(env_id, actions, message):
         ({"render_mode": "human"}, "does not draw"),
         ({"scenario": ["paper-circle"]}, "1 scenarios are given for 3"),
         ({"scenario": "storm"}, "unknown scenario"),
-        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, r"have 1 to 2 substeps; .* substeps=2\)"),
+        (
+            {"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]},
+            r"scenarios have 1 to 2 substeps; give each replace.scenario, substeps=2\)",
+        ),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):

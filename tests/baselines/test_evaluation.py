@@ -113,7 +113,10 @@ def files(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--bogus"], "--bogus"),
+        (["--bogus"], "--bogus; see"),
+        (["--no-resume", "--episods=3"], "--episods=3 (did you mean '--episodes'?)"),
+        (["--jobs", "1.5"], "--jobs: no integer can be instantiated from ['1.5']"),
+        (["--policy", "ekf:gard"], "unknown policy 'ekf:gard' (did you mean 'ekf:guard'?)"),
         (["--episodes", "0"], "1 or more"),
         (["--step-limit", "0"], "positive"),
         (["--policy", "nobody"], "allowed are backstepping"),

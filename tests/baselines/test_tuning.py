@@ -179,7 +179,7 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     with pytest.raises(UsageError, match=r"HandPoint of hand.py fails: .*unexpected keyword argument 'K'"):
         main(arguments)
     Path("start.json").write_text("{}")
-    with pytest.raises(UsageError, match=r"start.json has no gains; write their initial values by name, such as"):
+    with pytest.raises(UsageError, match=r"start.json has the gains ; they must be numbers by name, as \{.k.: 1.5\}"):
         main(arguments)
     with pytest.raises(UsageError, match=r"hand.py:HandPoint needs --start FILE.json, the initial gains by name"):
         main(["hand.py:HandPoint"])

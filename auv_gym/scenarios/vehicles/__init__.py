@@ -21,13 +21,7 @@ from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled_part
 
 VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
 _LIMITS = ("F_u_max", "F_r_max", "fin", "astern")
-"""The entries of `Actuators` that a vehicle has; scenarios have all others."""
-_OF_FILES = (
-    ("vehicle", "speed", "the fastest cruise speed in m/s"),
-    ("actuators", "F_u_max", "the largest thrust in N"),
-    ("actuators", "F_r_max", "the largest yaw torque in N m"),
-)
-"""Tables, names and meanings of entries without a default in vehicle files."""
+"""Entries of `Actuators` that a vehicle has; scenarios have the others."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +53,10 @@ class VehicleModel:
         for name in ("turn_rate", "lag"):
             if getattr(self, name) is not None:
                 check_number(f"vehicle {name}", getattr(self, name), 1e-6, 1e3)
-        if not isinstance(self.sensors, NoiseLevels | None):
-            raise ValueError(f"vehicle sensors is {self.sensors!r}; it must be NoiseLevels or None")
         for name, usual in ((f.name, f.default) for f in fields(Actuators) if f.name not in _LIMITS):
             if (value := getattr(self.actuators, name)) != usual:
                 advice = "write lag before [vehicle]" if name == "lag" else f"{name} is an entry of scenarios"
-                raise ValueError(
-                    f"the actuators of a vehicle have {name} = {value!r}; allowed are {', '.join(_LIMITS)}: {advice}"
-                )
+                raise ValueError(f"vehicle actuators {name} is {value!r}; allowed are {', '.join(_LIMITS)}: {advice}")
 
     def drag(self, speed: float) -> tuple[float, float, float]:
         """Return drag over velocity at a surge speed [m/s], for surge and sway [kg/s] and yaw [kg m^2/s]."""
@@ -95,28 +85,26 @@ class VehicleModel:
         """Return the vehicle model of a .toml or .json file.
 
         Raises:
-            ValueError: the file is of another kind, is not valid, or has a wrong entry; it has no design speed or no
-                limits, or its thrust does not hold the design speed.
+            ValueError: the file is of another kind, has a wrong entry or lacks one, or its thrust is below its drag.
             OSError: the file cannot be read.
         """
         record = read_table(FilePath(file))
         with guarded(str(file)):
-            vehicle_model = from_record(cls, record, "vehicle file")
-            for table, name, what in _OF_FILES:
+            model = from_record(cls, record, "vehicle file")
+            for table, name in (("vehicle", "speed"), ("actuators", "F_u_max"), ("actuators", "F_r_max")):
                 if name not in record[table]:
-                    raise ValueError(f"the table [{table}] lacks the entry {name!r}, {what}")
-            vehicle_model._check_thrust()
-            return vehicle_model
-
-    def _check_thrust(self) -> None:
-        """Raise ValueError if the design speed needs more thrust than there is."""
-        v, F_u_max = self.vehicle, self.actuators.F_u_max
-        if (needed := self.drag(v.speed)[0] * v.speed) > F_u_max:
-            held = 2 * F_u_max / (v.d11 + math.sqrt(v.d11**2 + 4 * v.X_uu * F_u_max))
-            raise ValueError(
-                f"speed {v.speed:g} m/s needs {needed:.3g} N, but F_u_max is {F_u_max:g} N, which holds {held:.2g} "
-                "m/s; lower the speed, or correct drag or F_u_max"
-            )
+                    raise ValueError(
+                        f"the table [{table}] lacks the entry {name!r}; a vehicle file has the fastest cruise speed "
+                        "[m/s], and the limits F_u_max [N] and F_r_max [N m]"
+                    )
+            v, F_u_max = model.vehicle, model.actuators.F_u_max
+            if (needed := model.drag(v.speed)[0] * v.speed) > F_u_max:
+                held = 2 * F_u_max / (v.d11 + math.sqrt(v.d11**2 + 4 * v.X_uu * F_u_max))
+                raise ValueError(
+                    f"speed {v.speed:g} m/s needs {needed:.3g} N, but F_u_max is {F_u_max:g} N, which holds "
+                    f"{held:.2g} m/s; lower the speed, or correct drag or F_u_max"
+                )
+            return model
 
 
 VehicleLike = Vehicle | VehicleModel | str | os.PathLike[str] | Mapping[str, Any]
@@ -154,12 +142,12 @@ def vehicle_model(name: str) -> VehicleModel:
         ValueError: the vehicle does not exist, or its file is wrong.
         OSError: the file cannot be read.
     """
-    return _published(name) if name in vehicle_names() else VehicleModel.load(name)
+    return _published().get(name) or VehicleModel.load(name)
 
 
 @cache
-def _published(name: str) -> VehicleModel:
-    return VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml")
+def _published() -> dict[str, VehicleModel]:
+    return {name: VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml") for name in vehicle_names()}
 
 
 def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
@@ -169,9 +157,8 @@ def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
     if isinstance(vehicle, Mapping) and "vehicle" in vehicle:
         return from_record(VehicleModel, vehicle, "vehicle")
     if isinstance(vehicle, str) and vehicle in vehicle_names():
-        return _published(vehicle)
-    file = table_file(vehicle)
-    return None if file is None else VehicleModel.load(file)
+        return vehicle_model(vehicle)
+    return None if (file := table_file(vehicle)) is None else VehicleModel.load(file)
 
 
 def vehicle_model_of(vehicle: Any) -> VehicleModel | None:
@@ -179,12 +166,8 @@ def vehicle_model_of(vehicle: Any) -> VehicleModel | None:
 
     None for anything else: then the limits and the lag of its actuators are not known.
     """
-    return _by_parameters().get(vehicle) if isinstance(vehicle, Vehicle) else as_vehicle_model(vehicle)
-
-
-@cache
-def _by_parameters() -> dict[Vehicle, VehicleModel]:
-    return {_published(name).vehicle: _published(name) for name in vehicle_names()}
+    published = (model for model in _published().values() if model.vehicle == vehicle)
+    return next(published, None) or as_vehicle_model(vehicle)
 
 
 def as_vehicle(vehicle: VehicleLike) -> Vehicle:

@@ -10,8 +10,6 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-
 
 class SB3VecEnv(VecEnv):
     """A vector environment with SAME_STEP autoreset as a `VecEnv` of Stable-Baselines3.
@@ -31,12 +29,10 @@ class SB3VecEnv(VecEnv):
             raise ValueError(f"{env} is not a vector environment; make one by gym.make_vec")
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            option = "autoreset_mode='SameStep'"
-            if not isinstance(env.unwrapped, UnderactuatedAUVTrackVectorEnv):
-                option = "vector_kwargs={'autoreset_mode': gym.vector.AutoresetMode.SAME_STEP}"
             raise ValueError(
                 f"the vector environment has autoreset mode {getattr(mode, 'name', mode)}; Stable-Baselines3 needs "
-                f"SAME_STEP: gym.make_vec(..., {option})"
+                "SAME_STEP: gym.make_vec(..., autoreset_mode='SameStep'), or with vectorization_mode='sync' "
+                "vector_kwargs={'autoreset_mode': gym.vector.AutoresetMode.SAME_STEP}"
             )
         self.env = env
         self._actions: NDArray[Any] | None = None
@@ -83,14 +79,13 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of the vector environment, once for each index, or of each sub-environment."""
-        chosen, base = list(self._get_indices(indices)), self.env.unwrapped
-        if attr_name == "scenario" and isinstance(base, UnderactuatedAUVTrackVectorEnv):
-            return [base.scenarios[i] for i in chosen]
-        owner: Any = self.env if hasattr(self.env, attr_name) else base
-        if not hasattr(owner, attr_name) and hasattr(owner, "get_attr"):  # Gymnasium's own, with sub-environments
-            return [owner.get_attr(attr_name)[i] for i in chosen]
-        return [getattr(owner, attr_name) for _ in chosen]
+        """Return an attribute of the vector environment, once for each index, or the scenario of each."""
+        base: Any = self.env.unwrapped
+        if attr_name == "scenario":
+            each = getattr(base, "scenarios", None) or base.get_attr(attr_name)  # of Gymnasium's `SyncVectorEnv`
+            return [each[i] for i in self._get_indices(indices)]
+        owner = self.env if hasattr(self.env, attr_name) else base
+        return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the vector environment; one value serves all sub-environments."""
