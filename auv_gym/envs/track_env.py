@@ -95,7 +95,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - `scenario`: a `Scenario`, a dict of one, or the name of a preset (`auv_gym.list_scenarios()`); the default is
       `paper-circle`.
     - `vehicle`: replaces the known vehicle of the scenario. A `Vehicle` or a dict of one changes nothing else. A name
-      of `auv_gym.list_vehicles()` or a .toml file also changes limits, speeds and control period.
+      of `auv_gym.list_vehicles()` or a .toml file also scales the limits, speeds and times of the paper's vehicle.
     - `control_dt`: control period [s], replaces that of the scenario; the duration of episodes does not change.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
     - `render_size`: width and height of pictures [px], from 16 to 4096; the default is 960 x 720. Pictures below
