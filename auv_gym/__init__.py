@@ -56,14 +56,12 @@ def _register() -> None:
             "baselines.residual_envs:make_residual_vector_env",
         ),
     ):
-        scenarios: dict[str, int | None] = {"": None, **{f"-{name}": steps for name, steps in STEPS.items()}}
-        for name, steps in scenarios.items():
+        for name in ("", *(f"-{preset}" for preset in STEPS)):
             if f"{task}{name}-v0" not in gym.registry:
-                # The environment checks actions and the order of calls, so it needs no wrappers for that.
+                # The environment checks actions and the order of calls, and truncates, so it needs no wrappers.
                 gym.register(
                     f"{task}{name}-v0",
                     entry_point,
-                    max_episode_steps=steps,
                     order_enforce=False,
                     disable_env_checker=True,
                     kwargs={"scenario": name[1:]} if name else {},

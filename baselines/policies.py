@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import VehicleModel
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy
 from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import PolicyName, shipped_agents
+from baselines.agents.names import CHECKED, GUARD, PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.scaling import scaled_for
 
@@ -24,9 +24,7 @@ def list_policies() -> dict[str, str]:
     return {name: entry.about for name, entry in POLICIES.items()} | agents
 
 
-def make_policy(
-    name: str, vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None, **options: Any
-) -> Policy:
+def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -> Policy:
     """Return a policy by name or path.
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
@@ -60,8 +58,9 @@ def make_policy(
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
         known = list_policies()
+        hint = meant(name, [one + suffix for suffix in ("", GUARD, CHECKED) for one in known])
         raise ValueError(
-            f"unknown policy {name!r}{meant(name, known)}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
+            f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
             "a FILE.zip, a FILE.onnx, an agent's folder or cmd:COMMAND"
         )
     if POLICIES[name].privileged:

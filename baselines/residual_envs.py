@@ -8,11 +8,12 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
-from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
+from auv_gym.envs.arguments import ScenarioLike, scenarios_of
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.rendering import PICTURE
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.corrected import CorrectedPolicy
 from baselines.policies import make_policy

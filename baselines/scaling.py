@@ -7,7 +7,7 @@ in them, therefore has gains that are functions of the vehicle. Actions are frac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,16 +17,13 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.units import POWERS, Units, in_paper_units
-from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, vehicle_model_of
+from auv_gym.scenarios.vehicles import VehicleLike, as_vehicle, vehicle_model_of
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Law, Policy, preview_of, traceable
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts
 
 
-def scaled_for(
-    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]
-) -> Policy:
+def scaled_for(vehicle: VehicleLike | None, make: Callable[[Any], Policy]) -> Policy:
     """Return a policy for a vehicle: made in the paper's units, with observations scaled to these units.
 
     Args:

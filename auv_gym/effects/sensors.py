@@ -19,6 +19,22 @@ NOISES = ("position", "heading", "velocity", "yaw_rate")
 
 
 @dataclass(frozen=True)
+class NoiseLevels:
+    """Levels of the noise of a vehicle's instruments, as in `Sensors`, at least one; None: that of the scenario."""
+
+    position: Interval | None = None  # [m]
+    heading: Interval | None = None  # [rad]
+    velocity: Interval | None = None  # [m/s]
+    yaw_rate: Interval | None = None  # [rad/s]
+
+    def __post_init__(self) -> None:
+        given: dict[str, Any] = {name: level for name in NOISES if (level := getattr(self, name)) is not None}
+        if not given:
+            raise ValueError(f"the table [sensors] of a vehicle is empty; give at least one of {', '.join(NOISES)}")
+        Sensors(**given)  # checks them
+
+
+@dataclass(frozen=True)
 class Sensors:
     """Errors of the six measurements x, y, psi, u, v, r; the velocities are over ground.
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 
 from auv_gym.physics.namespaces import Indices
-from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import checked_mapping, checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.records import to_record
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import VehicleModel
+from auv_gym.scenarios.vehicles import VehicleLike
 
-ScenarioLike = Scenario | str | Mapping[str, Any]
+ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
 """A scenario, its dict, its file, or the name of a preset."""
-VehicleLike = Vehicle | VehicleModel | str | Mapping[str, Any]
-"""A vehicle, its model, its dict, its file, or the name of a vehicle."""
 
 
 def scenarios_of(
@@ -42,9 +44,23 @@ def scenarios_of(
         raise ValueError(
             f"{len(scenarios)} scenarios are given for {num_envs} sub-environments; give one, or one for each"
         )
-    if len({s.substeps for s in scenarios}) > 1:
-        raise ValueError("the scenarios have different substeps; in a vector environment they must be equal")
+    if (fewest := min(s.substeps for s in scenarios)) < (most := max(s.substeps for s in scenarios)):
+        raise ValueError(f"scenarios have {fewest} to {most} substeps; give each replace(scenario, substeps={most})")
     return scenarios
+
+
+def completed(spec: EnvSpec, steps: int) -> EnvSpec:
+    """Return a spec with a number of control steps, and with records of scenarios, whose effects JSON then keeps."""
+    kwargs = dict(spec.kwargs)
+    with suppress(KeyError, ValueError):  # a path of the user has no record
+        kwargs["scenario"] = _recorded(kwargs["scenario"])
+    return replace(spec, max_episode_steps=spec.max_episode_steps or steps, kwargs=kwargs)
+
+
+def _recorded(given: Any) -> Any:
+    if isinstance(given, Scenario):
+        return given.to_dict() | ({"model": to_record(given.model)} if given.model else {})
+    return [*map(_recorded, given)] if isinstance(given, (list, tuple)) else given
 
 
 def checked_steps(max_episode_steps: int | None) -> int:

@@ -68,6 +68,7 @@ class SubEnvironments:
         k: control steps since the reset of each sub-environment, shape (N,).
         law: the control law whose actions are appended to observations; None without one.
         preview: positions of the references ahead.
+        lengths: control steps until an episode of each sub-environment is truncated, shape (N,).
 
     Raises:
         ValueError: a wrong preview or number of steps.
@@ -88,7 +89,7 @@ class SubEnvironments:
         self._generators: list[Any] = [None] * num_envs  # random generators, made when first used
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
-        self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
+        self.lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self.parts = parts or reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self._exogenous = ExogenousInputs(num_envs, block, self.parts)
@@ -116,7 +117,7 @@ class SubEnvironments:
         """Whether the next control step is the last one of each episode, shape (N,)."""
         if self._remaining > 0:
             return np.zeros(len(self.all), dtype=bool)
-        remaining = self._lengths - self.k - 1
+        remaining = self.lengths - self.k - 1
         self._remaining = int(remaining.min())
         ending: NDArray[np.bool_] = remaining <= 0
         return ending

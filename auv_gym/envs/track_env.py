@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from auv_gym.envs.arguments import ScenarioLike, VehicleLike, checked_seed
+from auv_gym.envs.arguments import ScenarioLike, checked_seed, completed
 from auv_gym.envs.spaces import checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import FLOATS, Array
@@ -23,7 +21,7 @@ from auv_gym.rendering import PICTURE, Renderer, View, checked_size
 from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.kernels import Vehicles
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds, with_preview
@@ -97,7 +95,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - `scenario`: a `Scenario`, a dict of one, or the name of a preset (`auv_gym.list_scenarios()`); the default is
       `paper-circle`.
     - `vehicle`: replaces the known vehicle of the scenario. A `Vehicle` or a dict of one changes nothing else. A name
-      of `auv_gym.list_vehicles()` or a .toml file also changes limits, speeds and control period.
+      of `auv_gym.list_vehicles()` or a .toml file also scales the limits, speeds and times of the paper's vehicle.
     - `control_dt`: control period [s], replaces that of the scenario; the duration of episodes does not change.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
     - `render_size`: width and height of pictures [px], from 16 to 4096; the default is 960 x 720. Pictures below
@@ -138,7 +136,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             )
         self.render_mode: Any = render_mode
         self._size = checked_size(render_size)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
+        self.metadata = {**self.metadata, "render_fps": 1 / self.scenario.control_dt}
         self._model = self.scenario.parts.model
         self._shape = (len(self._model.channels),)  # of an action
         self._channels = range(*self._shape)
@@ -165,14 +163,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         """Set by `gym.make`."""
-        if spec is not None:
-            if spec.max_episode_steps is None:
-                spec = replace(spec, max_episode_steps=self._steps)
-            if isinstance(given := spec.kwargs.get("scenario"), Scenario):
-                with suppress(ValueError):  # a path or an effect of the user has no record
-                    if Scenario.from_dict(record := given.to_dict()) == given:
-                        spec.kwargs["scenario"] = record  # so that `EnvSpec.to_json` keeps all of it
-        self._spec = spec
+        self._spec = spec and completed(spec, self._steps)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed.

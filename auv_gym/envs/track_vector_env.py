@@ -8,15 +8,17 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.arguments import ScenarioLike, VehicleLike, scenarios_of
+from auv_gym.envs.arguments import ScenarioLike, completed, scenarios_of
 from auv_gym.envs.spaces import checked_actions, with_action
 from auv_gym.envs.sub_environments import StartedEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.kernels import MakeSimulator, Simulator, Vehicles
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds
@@ -42,7 +44,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         control_dt: control period [s], replaces that of the scenarios.
         render_mode: None; only the scalar environment draws.
         preview: control periods ahead, see the scalar environment.
-        autoreset_mode: an `AutoresetMode` of Gymnasium, or its value: "SameStep", "NextStep" or "Disabled".
+        autoreset_mode: an `AutoresetMode` of Gymnasium, its name or its value: "SAME_STEP" or "SameStep", and so on.
         max_episode_steps: control steps after which episodes are truncated, if fewer than those of the scenario.
 
     `reset(options=...)` accepts the options of the scalar environment: `initial_error` and `initial_velocity` of shape
@@ -73,13 +75,11 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
             raise ValueError(
                 f"render_mode is {render_mode!r}; the vector environment does not draw, the scalar one does"
             )
-        try:
-            self.autoreset_mode = AutoresetMode(autoreset_mode)
-        except ValueError:
-            allowed = ", ".join(repr(m.value) for m in AutoresetMode)
-            raise ValueError(
-                f"unknown autoreset_mode {autoreset_mode!r}; allowed are {allowed}, or an AutoresetMode"
-            ) from None
+        meant = [mode for mode in AutoresetMode if autoreset_mode in (mode, mode.name, mode.value)]
+        if not meant:
+            allowed = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; allowed are {allowed}, or an AutoresetMode")
+        (self.autoreset_mode,) = meant
         self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
         self._sub_envs = SubEnvironments(self.scenarios, preview, max_episode_steps)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -93,8 +93,19 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.use_simulator(Vehicles)
+        self._spec: EnvSpec | None = None
         self._all = np.ones(num_envs, dtype=bool)
         self._over = ~self._all  # whether an episode is over and the next one has not begun; not in mode SAME_STEP
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec of `gym.make_vec`; `max_episode_steps` is that of the longest episodes."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        """Set by `gym.make_vec`."""
+        self._spec = spec and completed(spec, int(self._sub_envs.lengths.max()))
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

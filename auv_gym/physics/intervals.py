@@ -60,10 +60,10 @@ def mean_square(interval: Interval) -> float:
 
 
 def is_float(value: object) -> bool:
-    """Return whether a value is a number that a float can represent; infinity is one, nan is not."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    """Return whether a value is a number, or a floating one of NumPy, that a float can represent; nan is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
         return False
-    return not math.isnan(value) if isinstance(value, float) else abs(value) <= sys.float_info.max
+    return abs(value) <= sys.float_info.max if isinstance(value, int) else not math.isnan(value)
 
 
 def check_number(name: str, value: object, low: float = -math.inf, high: float = math.inf) -> None:

@@ -32,10 +32,22 @@ def substeps_for(period: float, coefficients: Sequence[Any], load: Load) -> int:
 def check_step(h: float, coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> None:
     """Raise ValueError if an integration step of h [s] is too long, see `longest_step`."""
     if not h <= (longest := longest_step(coefficients, load, speeds)):
+        cause = (
+            _cause(coefficients, load, longest) if longest < 0.06 and speeds is AT_REST else ""
+        )  # a doubtful vehicle
         raise ValueError(
             f"an integration step, control_dt / substeps, is {h:.4g} s; it must be at most {longest:.3g} s for this "
-            "vehicle and what acts on it, so raise substeps or lower control_dt"
+            f"vehicle and what acts on it, so raise substeps or lower control_dt{cause}"
         )
+
+
+def _cause(coefficients: Sequence[Any], load: Load, longest: float) -> str:
+    """Return what makes the rates fast: a linear drag that gives an eighth of the fastest one, otherwise the limits."""
+    m11, m22, m33 = (float(np.min(c)) for c in coefficients[:3])
+    rates = [(float(np.max(coefficients[i + 2])) / m, i) for i, m in enumerate((m11, m22, m33), 1)]
+    if 8 * max(rates)[0] * longest > MAX_STIFFNESS:
+        return "; d{1}{1}/m{1}{1} is {0:.3g} 1/s: are its units kg, m, s?".format(*max(rates))
+    return f"; {load[0]:.3g} N act on {m11:.3g} kg, {load[2]:.3g} N m on {m33:.3g} kg m^2: are these limits right?"
 
 
 def fastest_rate(coefficients: Sequence[Any], load: Load, speeds: Load = AT_REST) -> Any:

@@ -99,6 +99,7 @@ _SPEEDS = (1e-2, 16.0)
 LARGEST_PARAMETER = 1e16
 """Largest parameter of a vehicle, in its SI unit: a loaded tanker of 400 m has m33 of about 1e13 kg m^2."""
 _LINEARISE = "; drag that is purely quadratic can be linearised at a speed v that matters: d22 = Y_vv v, Y_vv = 0"
+_MAGNITUDE = "; tables of derivatives give X_u, Y_v and N_r with a minus sign: write the magnitude"
 MIN_MASS_RATIO = 1.01
 """Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
 
@@ -169,7 +170,7 @@ class Vehicle:
             if name[0] in "md" and name in Coefficients._fields and value <= 0:
                 raise ValueError(
                     f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive"
-                    + _LINEARISE * (name[0] == "d")
+                    + (_MAGNITUDE if value < 0 else _LINEARISE) * (name[0] == "d")
                 )
             if value < 0 and name not in SIGNED_PARAMETERS:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")

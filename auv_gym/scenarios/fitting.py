@@ -7,7 +7,6 @@ quantities do not change. For the vehicle of the paper all factors are 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,10 +16,10 @@ from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
-from auv_gym.physics.vehicle import Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleModel, as_vehicle, as_vehicle_model
+from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleLike, VehicleModel, as_vehicle, as_vehicle_model
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
@@ -29,14 +28,14 @@ MOST_SUBSTEPS = 64
 
 def changed(
     scenario: Scenario,
-    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
+    vehicle: VehicleLike | None = None,
     control_dt: float | None = None,
 ) -> Scenario:
     """Return a scenario with another known vehicle or control period.
 
-    A vehicle model or a vehicle file also changes actuators, speeds and times, see `adapted`; a `Vehicle` or a dict of
-    its parameters changes nothing of them. Another control period does not change the duration. The substeps are raised
-    to what the integration needs, and the mismatch of m22/m11 is cut to what the vehicle allows.
+    A vehicle model, a vehicle file or a name also changes actuators, speeds and times, see `adapted`; a `Vehicle` or a
+    dict of its parameters changes nothing of them. Another control period does not change the duration. The substeps
+    are raised to what the integration needs, and the mismatch of m22/m11 is cut to what the vehicle allows.
 
     Args:
         scenario: the original.
@@ -44,9 +43,11 @@ def changed(
         control_dt: control period [s]; None for that of the scenario.
 
     Raises:
-        ValueError: the vehicle is unknown, the period is not a number or longer than the episode, or no integration
-            step is short enough.
+        ValueError: the vehicle is unknown, the scenario has its own vehicle and is to be adapted to another one, the
+            period is not a number or longer than the episode, or no integration step is short enough.
     """
+    if isinstance(vehicle, str):
+        check_adaptable(scenario)
     if (vehicle_model := as_vehicle_model(vehicle)) is not None:
         scenario = replace(adapted(vehicle_model, scenario), name=f"{scenario.name}@{vehicle_model.name}")
     elif vehicle is not None:
@@ -59,6 +60,15 @@ def changed(
     return scenario
 
 
+def check_adaptable(scenario: Scenario) -> None:
+    """Raise ValueError if a scenario is not for the vehicle of the paper, so that scaling it has no meaning."""
+    if scenario.known not in (PAPER_VEHICLE, PAPER):
+        raise ValueError(
+            f"scenario {scenario.name!r} has its own vehicle, so it cannot be adapted to another one; leave out the "
+            "vehicle, or use a scenario of the paper's vehicle"
+        )
+
+
 def _integrable(scenario: Scenario, **changes: Any) -> Scenario:
     """Return a scenario with changes, and with the substeps that they need, at most `MOST_SUBSTEPS`."""
     most = replace(scenario, substeps=max(scenario.substeps, MOST_SUBSTEPS), **changes)
@@ -69,15 +79,16 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     """Return a scenario for another vehicle, for one for the vehicle of the paper; a fixed path does not change.
 
     Raises:
-        ValueError: paths are too slow for the fins of the vehicle, or no integration step is short enough.
+        ValueError: see `check_adaptable`; paths are too slow for the fins, or no integration step is short enough.
     """
+    check_adaptable(scenario)
     units, v = Units.of(vehicle_model.vehicle), vehicle_model.vehicle
     parts = "path", "start", "sensors", "current", "waves", "faults"
     changes = {name: scaled_part(name, getattr(scenario, name), units) for name in parts}
     path, waves, own = changes["path"], changes["waves"], vehicle_model.sensors
     if own is not None:  # where the scenario has noise at all
-        noisy = [name for name in NOISES if getattr(scenario.sensors, name)]
-        changes["sensors"] = replace(changes["sensors"], **{name: getattr(own, name) for name in noisy})
+        given = {name: getattr(own, name) for name in NOISES if getattr(scenario.sensors, name)}
+        changes["sensors"] = replace(changes["sensors"], **{name: x for name, x in given.items() if x is not None})
     if not isinstance(path, Path):
         turn_rate = units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / 0.12
         changes["path"] = path = replace(path, turn_rate=path.turn_rate * turn_rate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.intervals import Interval
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.names import CASES, SPEED_RANGES, STEPS
-from auv_gym.scenarios.records import meant
+from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
 __all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
@@ -107,7 +108,7 @@ def list_scenarios() -> list[str]:
     return list(PRESETS)
 
 
-def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
+def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any]) -> Scenario:
     """Return the scenario for an object, the name of a preset, a .toml or .json file, or a dict.
 
     PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`.
@@ -124,8 +125,8 @@ def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
         name, at, vehicle = scenario.partition("@")
         if name in PRESETS:
             return changed(PRESETS[name], vehicle if at else None)
-        if scenario.endswith((".toml", ".json")):
-            return Scenario.load(scenario)
+    if (file := table_file(scenario)) is not None:
+        return Scenario.load(file)
     allowed = (
         f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(PRESETS)}, optionally with a vehicle, such "
         "as cruise-storm@lauv"

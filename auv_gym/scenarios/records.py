@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import types
 import typing
@@ -38,6 +39,7 @@ def _default(field: Any) -> Any:
 def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return to_record(value)
+    value = value.item() if hasattr(value, "item") else value  # a number of NumPy
     return [_plain(v) for v in value] if isinstance(value, tuple) else value
 
 
@@ -48,14 +50,14 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
         cls: the dataclass.
         record: its values by the names of the fields.
         where: name of the record in messages.
-        special: functions that convert the values of some fields.
+        special: functions that convert the values of some fields, also of those that are not compared.
 
     Raises:
         ValueError: the record is not a mapping, an entry is unknown or missing, or the dataclass raises it.
     """
     if not isinstance(record, Mapping):
         raise ValueError(f"{where} is {record!r}; it must be a table of named values")
-    known = {f.name: f for f in fields(cls) if f.compare}  # type: ignore[arg-type]
+    known = {f.name: f for f in fields(cls) if f.compare or f.name in (special or ())}  # type: ignore[arg-type]
     if unknown := [key for key in record if key not in known]:
         raise ValueError(
             f"{where} has no entry {unknown[0]!r}{meant(unknown[0], known)}; allowed are {', '.join(known)}"
@@ -123,11 +125,17 @@ def guarded(what: str) -> Iterator[None]:
         raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
+def table_file(name: object) -> Path | None:
+    """Return the path of a .json or .toml file for its name or path; None for anything else."""
+    file = Path(name) if isinstance(name, (str, os.PathLike)) else None
+    return file if file is not None and file.suffix.lower() in (".json", ".toml") else None
+
+
 def checked_suffix(file: Path) -> str:
-    """Return the suffix of a file name; raise ValueError if it is neither .json nor .toml."""
-    if file.suffix not in (".json", ".toml"):
+    """Return the suffix of a file name in lower case; raise ValueError if it is neither .json nor .toml."""
+    if table_file(file) is None:
         raise ValueError(f"file {file} ends in {file.suffix!r}; it must end in .json or .toml")
-    return file.suffix
+    return file.suffix.lower()
 
 
 def read_table(file: Path) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -59,6 +59,8 @@ class RandomPath:
         check_interval("path speed", self.speed, 1e-2)
         check_number("path turn_rate", self.turn_rate, 1e-6, 1e2)
         allowed = [name for name, cls in PATHS.items() if hasattr(cls, "drawn")]
+        if not isinstance(self.families, (tuple, list)):
+            raise ValueError(f"path families is {self.families!r}; it must be a list, such as [{self.families!r}]")
         for name in self.families:
             if name not in allowed:
                 raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
@@ -154,6 +156,11 @@ class Scenario:
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
+        ends = (e if isinstance(e, tuple) else (e, e) for e in (self.start.x_e, self.start.y_e))
+        if (nearest := math.hypot(*(max(low, -high, 0.0) for low, high in ends))) > self.lost_distance:
+            raise ValueError(
+                f"start x_e, y_e are {nearest:g} m or more; raise lost_distance from {self.lost_distance:g} m"
+            )
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
         self._check_step(self._stiffest)
@@ -350,12 +357,13 @@ class Scenario:
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
-        """Return the scenario of a dict in the format of `to_dict`; `vehicle` may also be a name.
+        """Return the scenario of a dict in the format of `to_dict` or of a spec's JSON; `vehicle` may also be a name.
 
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        return from_record(cls, record, "scenario", {"path": path_from, "vehicle": as_vehicle, "effects": effects_from})
+        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from, "model": _model_from}
+        return from_record(cls, record, "scenario", special)
 
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
@@ -396,13 +404,17 @@ def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
 
 
+def _model_from(record: Any) -> VehicleModel | None:
+    return None if record is None else from_record(VehicleModel, record, "model")
+
+
 def effects_from(record: Any) -> tuple[Effect, ...]:
-    """Return the effects of a table with a table for each.
+    """Return the effects of a table with a table for each; none for an empty list.
 
     Raises:
         ValueError: a name is unknown, since reading a scenario never imports code, or an entry is unknown or wrong.
     """
-    if not isinstance(record, Mapping):
+    if not isinstance(record := record or {}, Mapping):
         raise ValueError(f"scenario effects is {record!r}; it must be a table with a table for each effect")
     if unknown := [name for name in record if name not in EFFECTS]:
         raise ValueError(
@@ -433,7 +445,9 @@ def path_from(record: Any) -> Any:
     if not isinstance(record, Mapping):
         raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
     rest = dict(record)
-    if (family := rest.pop("family", None)) is None:
+    # In the JSON of a spec a path has no family, but all of its entries.
+    whole = (name for name, cls in PATHS.items() if {f.name for f in fields(cls)} == {*rest})
+    if (family := rest.pop("family", None) or next(whole, None)) is None:
         return from_record(RandomPath, rest, "path")
     if not isinstance(family, str) or family not in PATHS:
         raise ValueError(f"unknown path family {family!r}{meant(family, PATHS)}; allowed are {', '.join(PATHS)}")

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.intervals import is_float
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Namespace, Number
 from auv_gym.task.observation import PLANE_LAYOUT, Layout
 
@@ -143,8 +144,8 @@ def checked_authority(authority: float | Sequence[float], channels: int = 2) -> 
     Raises:
         ValueError: it is neither a number nor one for each channel, or is not in (0, 2].
     """
-    each = tuple(authority) if isinstance(authority, Sequence) else (authority,) * channels
-    if len(each) != channels or not all(isinstance(a, (int, float)) and 0 < a <= 2 for a in each):
+    each = tuple(authority) if isinstance(authority, (Sequence, np.ndarray)) else (authority,) * channels
+    if len(each) != channels or not all(is_float(a) and 0 < a <= 2 for a in each):
         several = "surge and yaw" if channels == 2 else f"{channels} channels"
         raise ValueError(f"authority is {authority!r}; it must be a number in (0, 2], or one each for {several}")
     return tuple(map(float, each))

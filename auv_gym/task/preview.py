@@ -24,8 +24,10 @@ def checked_preview(preview: Any) -> tuple[int, ...]:
     Raises:
         ValueError: it is not a sequence of ascending integers in [1, `_FARTHEST`].
     """
+    preview = preview.tolist() if isinstance(preview, np.ndarray) else preview
     periods = tuple(preview) if isinstance(preview, Sequence) and not isinstance(preview, str) else (None,)
-    if not all(isinstance(n, int) and 1 <= n <= _FARTHEST for n in periods) or list(periods) != sorted(set(periods)):
+    whole = all(isinstance(n, (int, np.integer)) and 1 <= n <= _FARTHEST for n in periods)
+    if not whole or list(periods) != sorted(set(periods)):
         raise ValueError(
             f"preview is {preview!r}; it must be ascending numbers of control periods, integers in [1, {_FARTHEST}]"
         )

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.vehicles import VehicleModel
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy
 from baselines.control.backstepping import Backstepping
 from baselines.control.ekf_law import EKF_GAINS, EkfLaw
@@ -91,9 +91,7 @@ POLICIES: dict[str, Registration] = {
 """Controllers by name. An entry here makes a name known everywhere."""
 
 
-def make_controller(
-    name: str, vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None, **options: Any
-) -> Policy:
+def make_controller(name: str, vehicle: VehicleLike | None = None, **options: Any) -> Policy:
     """Return a controller of `POLICIES`; options override those of the entry.
 
     Args:

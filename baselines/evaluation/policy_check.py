@@ -24,8 +24,8 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
         scenario: the scenario whose observations it gets, shape (3, 18) each, more with the policy's `preview`.
 
     Raises:
-        PolicyError: an action is not of shape (N, 2) or (2,), not finite or outside [-1, 1]; the action of a vehicle
-            depends on the others, on the call before, or after `episode_start` on the episode before.
+        PolicyError: it is a class; an action is not of shape (N, 2) or (2,), not finite or outside [-1, 1]; the action
+            of a vehicle depends on the others, on the call before, or after `episode_start` on the episode before.
     """
     env = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
@@ -58,6 +58,8 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
 
 def _called(policy: Policy, observation: Any, memory: Any, first: Any) -> tuple[Any, Any]:
     """Return the action and the memory of a policy; raise PolicyError if they are not those of one."""
+    if isinstance(policy, type):
+        raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
     if not callable(getattr(policy, "predict", None)):
         raise PolicyError(f"a {type(policy).__name__} has no method predict")
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.presets import PRESETS, as_scenario
-from auv_gym.scenarios.records import meant
+from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution, load_effects
 from baselines.agents.names import agent_folder
@@ -180,7 +180,7 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     """
     if name.partition("@")[0] in PRESETS:
         return checked(partial(as_scenario, name))
-    if not name.endswith((".toml", ".json")):
+    if table_file(name) is None:
         known = *others, *PRESETS
         raise UsageError(
             f"unknown scenario {name!r}{meant(name, known)}; allowed are a .toml or .json file, or one of "

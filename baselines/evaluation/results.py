@@ -57,7 +57,7 @@ class ResultFile:
         scenarios = {run.scenario.name: run.scenario.to_dict() for run in done}
         record = {"format": FORMAT, "suite": self.suite, "suite_hash": self.suite_hash, "command": self.command}
         record |= {"scenarios": scenarios, "runs": [_record_of(run) for run in done]}
-        table = np.array([getattr(Measures.joined([r.measures for r in done if r.measures]), f.name) for f in _METRICS])
+        table = np.array([np.concatenate([[], *(getattr(run.measures, f.name) for run in done)]) for f in _METRICS])
         arrays = {"measures": table.astype(np.float32 if single else np.float64)}
         arrays |= {f"bands_{i}": run.bands for i, run in enumerate(done) if run.bands is not None}
         arrays |= {

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from auv_gym import __version__
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
+from baselines.agents.names import PolicyName
 from baselines.evaluation.cells import Cell
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures, Track
@@ -103,14 +106,21 @@ def part_of(policy: str, scenario: Scenario, episodes: Sequence[Episode], step_l
         warnings.simplefilter("always")
         try:
             result = rollout(make_policy(policy, scenario.known), scenario, episodes, step_limit)
-        except PolicyError as exception:
-            error = printable(str(exception))
         except KeyboardInterrupt:
             raise
         except BaseException as exception:  # noqa: BLE001, other policies must still run
-            error = described(exception)
+            error = failure(exception, policy)
     messages = (printable(" ".join(str(warning.message).split())) for warning in caught)
     return Part(result, error, tuple(dict.fromkeys(messages)))
+
+
+def failure(error: BaseException, policy: str) -> str:
+    """Return on one line why a policy failed, with the place in its own file if that has raised the exception."""
+    if isinstance(error, PolicyError):
+        return printable(str(error))
+    file = PolicyName.of(policy).base.rpartition(":")[0]
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(Path(file))]
+    return described(error) + (f" ({printable(file)}, line {lines[-1]})" if lines else "")
 
 
 def _numbered(number: tuple[int, int], *task: Any) -> tuple[tuple[int, int], Part]:

@@ -64,7 +64,11 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
     except SystemExit as end:
         if end.code in (None, 0):
             raise
-        raise UsageError(f"{_first_paragraph(errors.getvalue())}; see {program} --help") from None
+        text = _first_paragraph(errors.getvalue()).replace("no type matching {None}|INT could be", "no integer can be")
+        known = [f"--{f.name.rstrip('_').replace('_', '-')}" for f in fields(options)]  # type: ignore[arg-type]
+        words = (word.partition("=")[0] for word in arguments if word[:2] == "--" and word in text)
+        hint = next((meant(word, known) for word in words if word not in known), "")
+        raise UsageError(f"{text}{hint}; see {program} --help") from None
 
 
 def printable(text: str) -> str:
@@ -168,6 +172,8 @@ def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequen
     """
     status, line, form = FAILED, "", warnings.formatwarning
     warnings.formatwarning = warned
+    with contextlib.suppress(AttributeError):  # a stream of the caller's
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     token = _called.set(program)
     try:
         with _terminable():

@@ -25,7 +25,7 @@ from joblib.externals.loky.backend import resource_tracker as resource_tracker_o
 from threadpoolctl import threadpool_limits
 
 from auv_gym.installation import install
-from baselines.tools.command_line import WorkerError, warned
+from baselines.tools.command_line import WorkerError, described, warned
 
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # number of parallel tasks
 _ANSWER = 30  # [s] in which a scheduler and a worker of a cluster must answer
@@ -94,11 +94,15 @@ def _on_cluster(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], 
         dask: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise WorkerError(f"--cluster needs Dask: {install('cluster')}") from error
+    if cluster.endswith(".json") and not Path(cluster).is_file():
+        raise WorkerError(f"cannot read {cluster}; --cluster is the file of a Dask scheduler, or its address")
     where = {"scheduler_file": cluster} if Path(cluster).is_file() else {"address": cluster}
+    client = dask.Client.__new__(dask.Client)
     try:
-        client = dask.Client(**where, timeout=_ANSWER, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise WorkerError(f"no Dask scheduler answers at {cluster}: {error}") from error
+        client.__init__(**where, timeout=_ANSWER, set_as_default=False)
+    except Exception as error:
+        client.status = "closed"  # otherwise its destructor would wait for a scheduler, and fail
+        raise WorkerError(f"no Dask scheduler answers at {cluster}: {described(error)}") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=_ANSWER)

@@ -17,7 +17,7 @@ from tyro.conf import arg
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
-from auv_gym.scenarios.records import read_table
+from auv_gym.scenarios.records import meant, read_table, table_file
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
@@ -137,7 +137,8 @@ def configurations(options: Options) -> tuple[Config, ...]:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; it must be 1 or more")
     if options.algo not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
+        hint = meant(options.algo, ALGORITHMS)
+        raise ValueError(f"unknown algorithm {options.algo!r}{hint}; allowed are {', '.join(ALGORITHMS)}")
     initial = None if options.from_ is None else InitialAgent.of(options.from_)
     if initial and options.algo != ALGO:
         raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
@@ -247,7 +248,7 @@ def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
 def _split(word: str) -> tuple[str, float]:
     """Return the name and weight of NAME or NAME:WEIGHT."""
     name, colon, text = word.rpartition(":")
-    if not colon or word.endswith((".toml", ".json")):
+    if not colon or table_file(word) is not None:
         return word, 1.0
     try:
         weight = float(text)

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed, check_adaptable, in_vehicle_units
 from auv_gym.scenarios.mixtures import Mixture
+from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.agent import WEIGHTS, Agent
@@ -44,8 +45,8 @@ class InitialAgent:
             ValueError: the agent does not exist, or was trained by another algorithm than `ALGO`.
         """
         if (folder := agent_folder(name)) is None:
-            known = ", ".join(shipped_agents())
-            raise ValueError(f"unknown agent {name!r}; allowed are the folder of an agent, or {known}")
+            hint, known = meant(name, shipped_agents()), ", ".join(shipped_agents())
+            raise ValueError(f"unknown agent {name!r}{hint}; allowed are the folder of an agent, or {known}")
         agent = Agent.load(folder)
         algo = agent.training.get("config", {}).get("algo")
         if algo != ALGO:
@@ -100,11 +101,7 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
     scenarios: list[tuple[Scenario, float]] = []
     reasons: list[str] = []
     for scenario, weight in mixture:
-        if scenario.vehicle != PAPER_VEHICLE:
-            raise ValueError(
-                f"scenario {scenario.name!r} has its own vehicle, so it cannot be adapted to another one; omit "
-                "--vehicle, or use scenarios of the paper's vehicle"
-            )
+        check_adaptable(scenario)
         try:
             scenarios.append((changed(scenario, vehicle_model), weight))
         except ValueError as error:

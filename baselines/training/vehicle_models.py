@@ -67,7 +67,7 @@ def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[
         seed: of the draws.
     """
     rng = np.random.default_rng([seed, len(scenarios)])
-    stepped = [replace(s, substeps=SUBSTEPS) for s in scenarios]
+    stepped = [replace(s, substeps=SUBSTEPS, model=None) for s in scenarios]  # the drawn models have other actuators
     drawn = [math.floor((i + 1) * share) > math.floor(i * share) for i in range(len(scenarios))]
     return [
         [drawn_model(scenario, rng)[1] for _ in range(SEVERAL)] if other else [scenario]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -21,9 +22,10 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
 from auv_gym.task.policy import Policy
 from baselines.agents.names import PolicyName
+from baselines.evaluation.runner import failure
 from baselines.gains.loading import adapted_gains, checked_gains, load_gains, recorded_gains, write_gains
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, check_words, checked, parse, typed
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
 from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes, compared, tuning_scenarios
 from baselines.tuning.search import (
@@ -45,8 +47,8 @@ class Options:
     The search starts at the entry "start" of the controller in baselines/gains/gains.json, for another vehicle at the
     shipped gains in the units of the vehicle. Use the result with make_policy(NAME, vehicle=..., gains=...).
     FILE.py:FACTORY is a controller of your own, whose factory takes its gains as keyword arguments; --start names their
-    initial values.
-    Exit status: 0 done, 2 wrong usage.
+    initial values, and NAME of the result is FILE-FACTORY.
+    Exit status: 0 done, 1 the controller failed, 2 wrong usage.
 
     Example: auv-gym tune los-pid --speed-range cruise
     Example: auv-gym tune hand.py:HandPoint --start start.json
@@ -89,9 +91,13 @@ def main(arguments: Sequence[str]) -> int:
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
 
-    gains = tune(factory, draw, start, budget) if options.evaluations else start
-    policies = factory(dict(gains)), make_policy("backstepping", vehicle=in_paper_units.vehicle)
-    result, expert = map(draw(VALIDATION_EPISODES, VALIDATION_SEED).run, policies)
+    try:
+        gains = tune(factory, draw, start, budget) if options.evaluations else start
+        policies = factory(dict(gains)), make_policy("backstepping", vehicle=in_paper_units.vehicle)
+        result, expert = map(draw(VALIDATION_EPISODES, VALIDATION_SEED).run, policies)
+    except Exception as error:  # noqa: BLE001, a policy of the user's can raise anything
+        print(f"{called(PROGRAM)}: {failure(error, options.name)}", file=sys.stderr)
+        return FAILED
     record = {
         "gains": gains,
         "start": start,
@@ -108,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
         tuned = recorded_gains()["tuned"].get(options.name, {})
         write_gains("tuned", options.name, {**tuned, options.speed_range: record})
     elif not options.dry_run:
-        name = options.name.rpartition(":")[2]
+        name = Path(options.name.replace(".py:", "-")).name
         file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
         write_atomically(file, json.dumps(record, indent=2) + "\n")
         print(f"written: {file}")
@@ -149,7 +155,7 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
 def _budget(options: Options) -> Budget:
     """Return the budget; raise UsageError if the controller or a number is wrong."""
     if PolicyName.of(options.name).kind != "python":
-        check_words("controller", [options.name], TUNABLES)
+        check_words("controller", [options.name], (*TUNABLES, "FILE.py:FACTORY"))
     cycle = len(tuning_scenarios(options.speed_range, "adverse"))
     if options.episodes < cycle or options.episodes % cycle:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")
@@ -169,7 +175,7 @@ def _start(options: Options, names: Sequence[str], in_paper_units: VehicleModel)
     if options.start is not None:
         record = read_json(options.start)
         gains = record.get("gains", record) if isinstance(record, dict) else record
-        known = names or (tuple(gains) if isinstance(gains, dict) else ("names with numbers",))
+        known = names or (tuple(gains) if isinstance(gains, dict) and gains else ('numbers by name, as {"k": 1.5}',))
         start = checked_gains(gains, known, str(options.start))
     elif in_paper_units == PAPER:
         start = load_gains(options.name, options.speed_range, names, "start")

@@ -12,7 +12,8 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
-from baselines.evaluation.rollout import beginning, play
+from baselines.evaluation.rollout import PolicyError, beginning, play
+from baselines.evaluation.runner import failure
 from baselines.policies import make_policy
 from baselines.policy import Privileged
 
@@ -59,7 +60,7 @@ def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> RecordedEp
     Raises:
         OSError: the policy's file cannot be read.
         ValueError: there is no such policy.
-        PolicyError: the policy gave no usable action.
+        PolicyError: the policy gave no usable action, or raised an exception.
     """
     policy = make_policy(name, scenario.known)
     if isinstance(policy, Privileged):
@@ -71,10 +72,13 @@ def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> RecordedEp
         return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy(), env.load[0]
 
     rows, failed = [row()], False
-    for k, moment in enumerate(play(policy, (env, observation), scenario.steps)):
-        failed = bool(moment.failed[0])
-        if not failed and k + 1 < scenario.steps:
-            rows.append(row())
+    try:
+        for k, moment in enumerate(play(policy, (env, observation), scenario.steps)):
+            failed = bool(moment.failed[0])
+            if not failed and k + 1 < scenario.steps:
+                rows.append(row())
+    except Exception as error:
+        raise PolicyError(failure(error, name)) from error
     state, reference, current, load = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
     cos, sin = np.cos(state[:, 2]), np.sin(state[:, 2])

@@ -1,24 +1,31 @@
 """The scalar environment: the interface of Gymnasium and Stable-Baselines3, and the simulation."""
 
 import copy
+import itertools
 import math
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from scipy.integrate import solve_ivp
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from auv_gym.effects import FineReward
 from auv_gym.physics.dynamics import state_rates
 from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.names import STEPS
 from auv_gym.scenarios.presets import PAPER_SCENARIO, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
+from auv_gym.scenarios.vehicles import vehicle_model
 from auv_gym.task.observation import SIZE, decode_observation
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
@@ -276,11 +283,44 @@ def test_rendering_before_reset_or_without_a_mode():
         assert gym.make(TRACK).render() is None
 
 
-@pytest.mark.parametrize("scenario", [PRESETS["slow-storm"], PRESETS["slow-storm"].to_dict(), PAPER_SCENARIO])
-def test_arguments_in_the_json_of_the_spec(scenario):
-    env = gym.make(TRACK, scenario=scenario, vehicle="paper", control_dt=0.1)
-    copy = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert copy.unwrapped.scenario == env.unwrapped.scenario
+STORM = replace(PRESETS["slow-storm"], steps=7)
+
+
+@pytest.mark.parametrize("mode", ["scalar", "sync", "vector_entry_point"])
+@pytest.mark.parametrize(
+    ("scenario", "vehicle"),
+    [
+        (STORM, "paper"),
+        (STORM.to_dict(), None),
+        (replace(PAPER_SCENARIO, steps=7), None),
+        (changed(PRESETS["cruise-storm"], "otter"), None),
+        (PRESETS["cruise-storm"], vehicle_model("remus100")),
+        (replace(STORM, effects=(FineReward(0.5, 0.01),)), None),
+    ],
+    ids=["object", "dict", "fixed path", "adapted", "vehicle model", "effect"],
+)
+def test_arguments_in_the_json_of_the_spec(scenario, vehicle, mode):
+    make = gym.make if mode == "scalar" else partial(gym.make_vec, num_envs=2, vectorization_mode=mode)
+    env = make(TRACK, scenario=scenario, vehicle=vehicle, control_dt=0.1)
+    if mode == "sync" and getattr(scenario, "effects", ()):  # Gymnasium's own spec, without the names of effects
+        with pytest.raises(ValueError, match=r"scenario effects is .*; it must be a table"):
+            make(EnvSpec.from_json(env.spec.to_json()))
+        return
+    again = make(EnvSpec.from_json(env.spec.to_json()))
+    np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
+    scenarios = [
+        (e.scenarios if mode[0] == "v" else e.get_wrapper_attr("scenario"))
+        for e in (e.envs[0] if mode == "sync" else e for e in (env, again))
+    ]
+    assert scenarios[0] == scenarios[1]
+
+
+def test_a_list_of_scenarios_in_the_json_of_the_spec():
+    scenarios = [replace(changed(STORM, name), substeps=8) for name in ("otter", "cybership2")]
+    env = gym.make_vec(TRACK, 2, "vector_entry_point", scenario=scenarios)
+    again = gym.make_vec(EnvSpec.from_json(env.spec.to_json()))
+    assert again.scenarios == env.scenarios
+    assert [one.known for one in again.scenarios] == [vehicle_model("otter"), vehicle_model("cybership2")]
 
 
 def test_an_episode_can_be_run_again():
@@ -320,7 +360,7 @@ def test_residual_correction_is_bounded_by_its_authority():
     assert env.unwrapped.force == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("authority", [0, -1, (1,), (1, 2, 3), "much", math.nan])
+@pytest.mark.parametrize("authority", [0, -1, (1,), np.ones(3), "much", math.nan])
 def test_impossible_authority_is_refused(authority):
     with pytest.raises(ValueError, match="authority is"):
         gym.make(RESIDUAL, authority=authority)
@@ -344,8 +384,9 @@ def test_each_preset_has_an_id_with_its_length():
     assert {name: scenario.steps for name, scenario in PRESETS.items()} == STEPS
     for task in (TRACK, RESIDUAL):
         for name, steps in STEPS.items():
-            spec = gym.spec(f"{task[8:-3]}-{name}-v0")
-            assert (spec.max_episode_steps, spec.kwargs) == (steps, {"scenario": name})
+            env_id = f"{task[:-3]}-{name}-v0"
+            assert gym.spec(env_id[8:]).kwargs == {"scenario": name}
+            assert gym.make(env_id).spec.max_episode_steps == steps
         of_preset, options = f"{task[:-3]}-slow-calm-v0", {"num_envs": 2, "vectorization_mode": "vector_entry_point"}
         for env, same in (
             (gym.make(of_preset), gym.make(task, scenario="slow-calm")),
@@ -353,6 +394,25 @@ def test_each_preset_has_an_id_with_its_length():
         ):
             assert (env.reset(seed=4)[0] == same.reset(seed=4)[0]).all()
             assert env.spec.max_episode_steps == 600
+
+
+@pytest.mark.parametrize(
+    ("options", "steps"),
+    [
+        ({"control_dt": 0.05}, 1200),
+        ({"scenario": replace(PRESETS["cruise-calm"], steps=700)}, 700),
+        ({"max_episode_steps": 5}, 5),
+        ({"control_dt": 0.05, "max_episode_steps": 5}, 5),
+    ],
+    ids=str,
+)
+def test_an_id_of_a_preset_cuts_no_episode_of_other_arguments(options, steps):
+    env_id = "auv_gym:UnderactuatedAUVTrack-cruise-calm-v0"
+    env = gym.make(env_id, **options)
+    env.reset(seed=0)
+    assert next(k for k in itertools.count(1) if env.step(ZERO)[3]) == steps
+    vector = gym.make_vec(env_id, 2, "vector_entry_point", **options)
+    assert env.spec.max_episode_steps == vector.spec.max_episode_steps == steps
 
 
 def test_import_is_light_and_registers_the_ids_once():

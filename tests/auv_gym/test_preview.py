@@ -1,5 +1,7 @@
 """The preview of the reference: compared with the path."""
 
+import json
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -70,7 +72,21 @@ def test_residual_environments_have_the_preview_of_the_expert():
     np.testing.assert_allclose(rows[0], observation, atol=1e-12)
 
 
-@pytest.mark.parametrize("preview", [(0,), (5, 5), (5, 2), (1.5,), "12", 7, (10_000,), None])
+def test_numbers_of_numpy_are_numbers():
+    options = {"control_dt": np.float32(0.05), "preview": np.array([5, 10])}
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm", **options)
+    assert env.observation_space.shape == (SIZE + 4,)
+    scenario = env.unwrapped.scenario
+    assert (scenario.steps, type(scenario.control_dt)) == (1200, float)
+    residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", authority=np.array([0.2, 0.3]))
+    assert residual.authority == (0.2, 0.3)
+    assert checked_preview((np.int64(3), 4)) == (3, 4)
+    record = Scenario(error_scale=np.float32(0.25), sensors=Sensors(position=(np.float32(0.5), 1.0))).to_dict()
+    text = json.dumps({name: record[name] for name in ("sensors", "error_scale")})
+    assert text == '{"sensors": {"position": [0.5, 1.0]}, "error_scale": 0.25}'
+
+
+@pytest.mark.parametrize("preview", [(0,), (5, 5), (5, 2), (1.5,), np.array([1.5]), "12", 7, (10_000,), None])
 def test_wrong_previews_are_refused(preview):
     with pytest.raises(ValueError, match=r"preview is .* ascending numbers of control periods"):
         checked_preview(preview)

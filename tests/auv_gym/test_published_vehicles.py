@@ -5,7 +5,6 @@ import math
 import random
 import re
 from dataclasses import fields, replace
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -166,18 +165,19 @@ def test_ships_have_wider_bounds_and_the_same_scales():
     assert env.observation_space.high[3] == 32.0
 
 
-def test_vehicle_by_name_and_file(tmp_path):
+@pytest.mark.parametrize("name", ["mine.toml", "Mine.TOML"])
+def test_vehicle_by_name_and_file(tmp_path, name):
     assert list_vehicles() == ["paper", "paper-2007", *vehicle_names()]
     assert as_vehicle("lauv") == vehicle_model("lauv").vehicle
-    file = tmp_path / "mine.toml"
-    file.write_text(
-        (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'),
-        encoding="utf-8",
-    )
+    file, lauv = tmp_path / name, (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8")
+    file.write_text(lauv.replace('name = "lauv"', 'name = "mine"'), encoding="utf-8")
     mine = changed(PRESETS["cruise-storm"], str(file))
+    assert mine == changed(PRESETS["cruise-storm"], file) == as_scenario(f"cruise-storm@{file}")
     assert mine == replace(as_scenario("cruise-storm@lauv"), name="cruise-storm@mine")
     assert Scenario.from_dict(mine.to_dict()) == mine
-    assert VehicleModel.load(Path(file)).vehicle == vehicle_model("lauv").vehicle
+    assert VehicleModel.load(file).vehicle == vehicle_model("lauv").vehicle
+    file.write_text(lauv.replace("m33 = 3.075", "m33 = 4.0"), encoding="utf-8")  # in the same session
+    assert as_vehicle(str(file)) == vehicle_model(str(file)).vehicle == replace(mine.vehicle, m33=4.0)
 
 
 @pytest.mark.parametrize(
@@ -193,10 +193,54 @@ def test_unknown_vehicles_and_scenarios_are_refused(scenario, message):
         as_scenario(scenario)
 
 
-def test_wrong_file_is_refused(tmp_path):
-    (tmp_path / "wrong.toml").write_text("slowest = 1.0\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "lauv"', "", "vehicle file lacks the entry 'name'"),
+        ("speed = 0.84", "", r"the table \[vehicle\] lacks the entry 'speed'; .* the fastest cruise speed \[m/s\]"),
+        ("F_u_max = 14.4", "", r"the table \[actuators\] lacks the entry 'F_u_max'; .* limits F_u_max \[N\]"),
+        (
+            "speed = 0.84",
+            "speed = 3 #",
+            "3 m/s needs 28.8 N, but F_u_max is 14.4 N, which holds 2 m/s; lower the speed",
+        ),
+        (
+            "[actuators]",
+            "[actuators]\nlag = 0.3",
+            r"vehicle actuators lag is 0.3; allowed are F_u_max, .*: write lag before \[vehicle\]",
+        ),
+        (
+            "[actuators]",
+            "[actuators]\nF_u_rate = 9.0",
+            "vehicle actuators F_u_rate is 9.0; .*: F_u_rate is an entry of scenarios",
+        ),
+        (
+            "[actuators]",
+            "[sensors]\n[actuators]",
+            "is empty; give at least one of position, heading, velocity, yaw_rate",
+        ),
+        (
+            "[actuators]",
+            "[sensors]\noutages = 1.0\n[actuators]",
+            "sensors has no entry 'outages'; allowed are position, ",
+        ),
+        ("[actuators]", "[sensors]\nheading = -0.1\n[actuators]", "sensors heading is -0.1; it must be a number in"),
+    ],
+)
+def test_wrong_file_is_refused(tmp_path, old, new, message):
+    lauv = (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text(lauv.replace(old, new), encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"wrong.toml: .*{message}"):
         changed(PRESETS["cruise-calm"], str(tmp_path / "wrong.toml"))
+
+
+@pytest.mark.parametrize("vehicle", ["otter", "lauv", "paper", vehicle_model("otter")], ids=str)
+def test_a_scenario_is_adapted_only_once(vehicle):
+    mine = as_scenario("cruise-calm@otter")
+    with pytest.raises(ValueError, match="'cruise-calm@otter' has its own vehicle, so it cannot be adapted to another"):
+        changed(mine, vehicle)
+    heavy = replace(mine.vehicle, m33=50.0)
+    assert changed(mine, heavy).lost_distance == changed(mine, control_dt=0.1).lost_distance == mine.lost_distance
 
 
 @pytest.mark.parametrize("name", ["lauv", "gunnerus"])

@@ -65,6 +65,12 @@ def test_what_is_no_pair_is_refused(part, name):
         (Start, {"random_signs": 1}, "start random_signs is 1; it must be true or false"),
         (RandomPath, {"families": ("spiral",)}, "unknown path family 'spiral'"),
         (RandomPath, {"families": ()}, "path families is empty"),
+        (RandomPath, {"families": "line"}, r"path families is 'line'; it must be a list, such as \['line'\]"),
+        (
+            Scenario,
+            {"start": Start(x_e=(-30, -18), y_e=80)},
+            "x_e, y_e are 82 m or more; raise lost_distance from 30 m",
+        ),
         (Scenario, {"steps": 1.5}, "steps is 1.5; it must be an integer"),
         (Scenario, {"name": ""}, "scenario name is ''"),
         *((Scenario, {part: 3}, f"scenario {part} is 3; it must be a ") for part in ("path", "vehicle", "sensors")),

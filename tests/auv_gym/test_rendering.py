@@ -207,6 +207,14 @@ def test_the_frame_rate_of_the_window_is_limited(human):
     assert time.perf_counter() - start > 0.2
 
 
+@pytest.mark.parametrize(("control_dt", "fps"), [(0.3, 1 / 0.3), (0.1, 10), (4.0, 0.25)])
+def test_pictures_are_shown_in_real_time(control_dt, fps):
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="slow-calm", control_dt=control_dt, render_mode="human")
+    env.reset(seed=0)
+    assert env.metadata["render_fps"] == env.unwrapped._renderer._fps == pytest.approx(fps)
+    env.close()
+
+
 def test_the_user_can_close_the_window(human):
     assert human.draw(VIEW) is None
     assert pygame.display.get_init()

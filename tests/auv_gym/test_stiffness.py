@@ -27,6 +27,21 @@ def test_stiff_vehicle_needs_substeps():
         assert np.abs(env.state[3:]).max() < 5
 
 
+@pytest.mark.parametrize(
+    ("changes", "limits", "cause"),
+    [
+        ({"d33": 2900.0}, {}, r"d33/m33 is 36.2 1/s: are its units kg, m, s\?"),
+        ({"m11": 0.2, "m22": 0.3, "m33": 0.08}, {}, r"d33/m33 is 625 1/s: are its units kg, m, s\?"),
+        ({}, {"F_u_max": 4e5}, r"4e\+05 N act on 215 kg, 50 N m on 80 kg m\^2: are these limits right\?"),
+    ],
+    ids=str,
+)
+def test_what_makes_a_vehicle_stiff_is_named(changes, limits, cause):
+    actuators = replace(CALM.actuators, **limits)
+    with pytest.raises(ValueError, match=f"so raise substeps or lower control_dt; {cause}"):
+        replace(CALM, vehicle=replace(PAPER_VEHICLE, **changes), actuators=actuators)
+
+
 def test_the_stiffest_vehicle_of_a_mismatch_is_checked():
     with pytest.raises(ValueError, match="raise substeps"):
         replace(CALM, mismatch=RandomMismatch(m33=(0.01, 1.0)))

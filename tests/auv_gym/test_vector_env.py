@@ -145,7 +145,10 @@ def test_bad_actions_advance_nothing(env_id, actions, message):
         ({"render_mode": "human"}, "does not draw"),
         ({"scenario": ["paper-circle"]}, "1 scenarios are given for 3"),
         ({"scenario": "storm"}, "unknown scenario"),
-        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, "different substeps"),
+        (
+            {"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]},
+            r"scenarios have 1 to 2 substeps; give each replace.scenario, substeps=2\)",
+        ),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):
@@ -153,8 +156,9 @@ def test_bad_arguments_are_refused(arguments, message):
         vector(**arguments)
 
 
-def test_a_name_of_a_mode_and_the_largest_number_of_steps():
-    env = vector(n=2, scenario="slow-calm", autoreset_mode="NextStep", max_episode_steps=3)
+@pytest.mark.parametrize("mode", ["NextStep", "NEXT_STEP", AutoresetMode.NEXT_STEP])
+def test_a_name_of_a_mode_and_the_largest_number_of_steps(mode):
+    env = vector(n=2, scenario="slow-calm", autoreset_mode=mode, max_episode_steps=3)
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert type(env.unwrapped).metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     with pytest.raises(ResetNeeded, match="call reset"):

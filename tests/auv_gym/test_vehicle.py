@@ -41,7 +41,8 @@ def test_what_is_no_finite_number_is_refused(name, value):
 @pytest.mark.parametrize("value", [-1.0, 0, 0.0])
 @pytest.mark.parametrize("name", NAMES[:6])
 def test_inertia_and_linear_drag_are_positive(name, value):
-    with pytest.raises(ValueError, match=rf"{name} is {value}; inertia and linear drag must be positive"):
+    advice = "" if name[0] == "m" else ".*write the magnitude" if value < 0 else ".*can be linearised"
+    with pytest.raises(ValueError, match=rf"{name} is {value}; inertia and linear drag must be positive{advice}"):
         replace(PAPER_VEHICLE, **{name: value})
 
 

@@ -1,5 +1,6 @@
 """Evaluations and trainings on a Dask cluster of this machine: the same bits, also if a worker is killed."""
 
+import gc
 import json
 import os
 import shlex
@@ -129,9 +130,21 @@ def test_tasks_run_in_other_processes_and_one_that_fails_raises_its_error(cluste
         list(Workers(cluster=json.loads(Path(file).read_text())["address"]).results(divmod, [(1, 0)]))
 
 
-def test_a_cluster_that_does_not_answer_is_one_line(monkeypatch):
+@pytest.mark.parametrize(
+    ("cluster", "message"),
+    [
+        ("tcp://127.0.0.1:9", "no Dask scheduler answers at tcp://127.0.0.1:9: OSError: Timed out"),
+        ("localhost", "no Dask scheduler answers at localhost: ValueError: missing port number"),
+        ("empty.json", "no Dask scheduler answers at empty.json"),
+        ("missing.json", "cannot read missing.json; --cluster is the file of a Dask scheduler, or its address"),
+    ],
+)
+def test_a_cluster_that_does_not_answer_is_one_line(cluster, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("empty.json").write_text("{}")
     monkeypatch.setattr("baselines.tools.workers._ANSWER", 1)
     start = time.monotonic()
-    with pytest.raises(WorkerError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9"):
-        list(Workers(cluster="tcp://127.0.0.1:9").results(square, [(1,)]))
-    assert time.monotonic() - start < 30
+    with pytest.raises(WorkerError, match=message):
+        list(Workers(cluster=cluster).results(square, [(1,)]))
+    gc.collect()  # calls the destructor of the client
+    assert time.monotonic() - start < 10

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import html.parser
+import io
 import json
 import re
 import subprocess
@@ -112,7 +113,10 @@ def files(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--bogus"], "--bogus"),
+        (["--bogus"], "--bogus; see"),
+        (["--no-resume", "--episods=3"], "--episods=3 (did you mean '--episodes'?)"),
+        (["--jobs", "1.5"], "--jobs: no integer can be instantiated from ['1.5']"),
+        (["--policy", "ekf:gard"], "unknown policy 'ekf:gard' (did you mean 'ekf:guard'?)"),
         (["--episodes", "0"], "1 or more"),
         (["--step-limit", "0"], "positive"),
         (["--policy", "nobody"], "allowed are backstepping"),
@@ -263,6 +267,21 @@ def test_a_failing_policy_does_not_affect_other_rows(call, small, tmp_path, caps
     assert out.count("failed") == len(BAD)
     assert "failed: raising in small, RuntimeError: no result" in err
     assert len((tmp_path / "bad" / "results.csv").read_text().splitlines()) == 2 + len(BAD)
+
+
+def test_policies_that_all_fail_are_in_the_table(call, small, tmp_path, capsys):
+    common = ("--scenario", small, "--jobs", "1", "--episodes", "2", "--out", "slow")
+    assert call(*common, "--policy", "open-loop", "--step-limit", "1e-9") == 1
+    out, err = capsys.readouterr()
+    assert out.count("failed") == err.count("allowed are 1e-09 s") == 2
+    assert ResultFile.read(tmp_path / "slow" / "results.npz").runs == ()
+
+
+def test_names_outside_the_encoding_of_the_terminal_are_escaped(call, small, monkeypatch):
+    stdout = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    assert call("--scenario", small, "--jobs", "1", "--episodes", "1", "--out", "été") == 0
+    assert rb"results.npz to \xe9t\xe9" in stdout.buffer.getvalue()
 
 
 def test_results_that_cannot_be_written_are_a_failure(call, small, monkeypatch, capsys):

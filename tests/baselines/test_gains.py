@@ -176,5 +176,5 @@ def test_a_scenario_for_a_vehicle_file_knows_the_actuators_and_its_record_does_n
     again = Scenario.from_dict(scenario.to_dict())
     assert again == scenario
     assert again.known == scenario.vehicle
-    with pytest.raises(ValueError, match="scenario has no entry 'model'"):
+    with pytest.raises(ValueError, match="model lacks the entry 'name'"):
         Scenario.from_dict({"model": {}})

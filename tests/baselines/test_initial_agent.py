@@ -140,7 +140,7 @@ def test_an_agent_for_a_vehicle_can_be_trained_further(call, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--from", "unknown"), "unknown agent 'unknown'; allowed are the folder of an agent, or apg-"),
+        (("--from", "helmm"), "unknown agent 'helmm' (did you mean 'helm'?); allowed are the folder of an agent, "),
         (("--from", "ppo-cruise"), "'ppo-cruise' was trained by ppo; a training can start only from an agent of apg"),
         (("--algo", "ppo"), "--from requires the algorithm apg, not ppo; leave out --algo"),
         (("--expert", "lqi"), "corrects backstepping; leave out --expert lqi"),

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -54,8 +55,21 @@ def configuration(algo="ppo", steps=30, expert=EXPERT, **values):
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "DISABLED"])
 def test_other_autoreset_modes_are_refused(mode):
     env = gym.vector.SyncVectorEnv([lambda: gym.make(TRACK)], autoreset_mode=gym.vector.AutoresetMode[mode])
-    with pytest.raises(ValueError, match=f"autoreset mode {mode}; Stable-Baselines3 needs SAME_STEP"):
-        SB3VecEnv(env)
+    advice = r"autoreset_mode='SameStep'\), or .* vector_kwargs=\{'autoreset_mode': gym.vector.AutoresetMode.SAME_STEP"
+    for make in (partial(SB3VecEnv, env), partial(adapted, autoreset_mode=mode)):
+        with pytest.raises(ValueError, match=f"autoreset mode {mode}; Stable-Baselines3 needs SAME_STEP: .*{advice}"):
+            make()
+    with pytest.raises(ValueError, match=r"TimeLimit.* is not a vector environment; make one by gym.make_vec"):
+        SB3VecEnv(gym.make(TRACK, max_episode_steps=9))
+
+
+def test_the_scenario_of_each_sub_environment():
+    own = adapted(scenario=[STORM, STORM.to_dict(), PRESETS["cruise-calm"]])
+    assert own.get_attr("scenario", [2, 0]) == [PRESETS["cruise-calm"], STORM]
+    assert own.get_attr("num_envs") == [3, 3, 3]
+    kwargs = {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
+    sync = SB3VecEnv(gym.make_vec(TRACK, 2, "sync", kwargs, scenario=STORM))
+    assert sync.get_attr("scenario") == [STORM, STORM]
 
 
 def untrained(algo, **values):

@@ -141,6 +141,7 @@ def test_folder_of_a_run_is_not_overwritten(call, capsys):
     ("arguments", "message"),
     [
         (("--algo", "dqn"), "unknown algorithm 'dqn'; allowed are apg, ppo"),
+        (("--algo", "pppo"), "unknown algorithm 'pppo' (did you mean 'ppo'?); allowed are apg, ppo"),
         (
             ("--scenario", "cruse"),
             "unknown scenario 'cruse' (did you mean 'cruise'?); allowed are a .toml or .json file",

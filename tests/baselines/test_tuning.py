@@ -14,7 +14,7 @@ from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains, recorded_gains
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError
+from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.command import main
 from baselines.tuning.objective import TUNABLES, TuningEpisodes, tuning_scenarios
@@ -169,7 +169,7 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     before = recorded_gains()
     arguments = ["hand.py:HandPoint", "--start", "start.json", "--episodes", "16", "--evaluations", "24"]
     assert main(arguments) == DONE
-    record = json.loads(Path("runs/tune/HandPoint-cruise@paper.json").read_text())
+    record = json.loads(Path("runs/tune/hand-HandPoint-cruise@paper.json").read_text())
     assert list(record["gains"]) == ["k", "d"]
     assert record["start"] == {"k": 60, "d": 150}
     assert record["gains"] != record["start"]
@@ -178,10 +178,34 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     Path("start.json").write_text('{"gains": {"K": 60}}')
     with pytest.raises(UsageError, match=r"HandPoint of hand.py fails: .*unexpected keyword argument 'K'"):
         main(arguments)
+    Path("start.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"start.json has the gains ; they must be numbers by name, as \{.k.: 1.5\}"):
+        main(arguments)
     with pytest.raises(UsageError, match=r"hand.py:HandPoint needs --start FILE.json, the initial gains by name"):
         main(["hand.py:HandPoint"])
     with pytest.raises(UsageError, match=r"gains of hand.py:HandPoint have no known units"):
         main([*arguments, "--vehicle", "lauv"])
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero (bad.py, line 6)"),
+        ("np.full((len(observation), 2), np.nan)", "step 0, episode 0: action is [nan nan]; it must be two finite"),
+        ("np.zeros(2)", "step 0: actions have shape (2,) and type float64; for 16 observations they must be"),
+    ],
+)
+def test_a_controller_of_a_file_that_fails_is_one_line(action, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.py").write_text(
+        "import numpy as np\n\n\nclass Bad:\n    def __init__(self, k): ...\n"
+        f"    def predict(self, observation, *_): return {action}, None\n"
+    )
+    Path("start.json").write_text('{"k": 1}')
+    arguments = ["bad.py:Bad", "--start", "start.json", "--episodes", "16", "--evaluations", "24"]
+    assert main(arguments) == FAILED
+    assert capsys.readouterr().err.startswith(f"auv-gym tune: {message}")
+    assert not Path("runs").exists()
 
 
 def brief(episodes, policy, run=TuningEpisodes.run):
@@ -193,7 +217,7 @@ def brief(episodes, policy, run=TuningEpisodes.run):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["unknown"], "unknown controller 'unknown'; allowed are integral-normalised, "),
+        (["unknown"], "unknown controller 'unknown'; allowed are integral-normalised, .*, FILE.py:FACTORY"),
         (["lqi", "--episodes", "24"], "--episodes is 24; it must be a positive multiple of 16"),
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),

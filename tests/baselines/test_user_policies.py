@@ -34,6 +34,7 @@ from baselines.evaluation.runner import run_all
 from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
 from baselines.training.config import Config
+from baselines.video import command as video
 
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorials" / "controller.md").read_text(encoding="utf-8")
 COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")
@@ -276,6 +277,8 @@ def test_the_check_of_a_policy():
             check_policy(Summing(mistake))
     with pytest.raises(PolicyError, match="a dict has no method predict"):
         check_policy({})
+    with pytest.raises(PolicyError, match=r"Summing is a class; give an object, Summing\(\)"):
+        check_policy(Summing)
 
 
 def test_all_seeds_of_a_training_are_evaluated_together(tmp_path, monkeypatch, capsys):
@@ -298,6 +301,19 @@ def test_all_seeds_of_a_training_are_evaluated_together(tmp_path, monkeypatch, c
     assert low < training["to_expert"]["mean"] < high
     out = capsys.readouterr().out
     assert f"runs/x, 3 seeds, cruise: {training['to_expert']['mean']:.3f} (" in out
+
+
+def test_an_exception_of_a_policy_has_its_place(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("law.py").write_text(
+        "import numpy as np\n\n\nclass Law:\n    def predict(self, observation, *_):\n"
+        "        if observation[0, 0] != 7:\n            np.clip(observation, 'a', 'b')\n"
+    )
+    place = "UFuncTypeError: .* \\(law.py, line 7\\)\n"
+    assert evaluation.main(["--policy", "law.py:Law", *COMMON]) == 1
+    assert re.search(f"failed: law.py:Law in cruise-calm, {place}", capsys.readouterr().err)
+    assert video.main(["--policy", "law.py:Law", "--seconds", "0.1"]) == 1
+    assert re.fullmatch(f"auv-gym video: {place}", capsys.readouterr().err)
 
 
 def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +14,13 @@ from baselines.agents.features import FEATURES
 from baselines.agents.names import AGENT_FOLDER, SHIPPED_FOLDER, agent_folder, shipped_agents
 from baselines.agents.networks import Gru
 from baselines.evaluation.cells import drawn
+from baselines.evaluation.episodes import run_episode
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import run_all
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE
 from baselines.training.config import Config
-from research.trainings import command, fine_tuning, seed_runs
+from research.trainings import command, fine_tuning, registered, seed_runs
 from research.trainings.seed_runs import SeedRuns, trained
 from research.trainings.trainings import FIRST_TRAININGS, SEED_TRAININGS, SHIPPED_TRAININGS, request_of
 
@@ -45,6 +47,7 @@ def test_every_training_is_recorded_with_its_seeds():
     for name, entry in SEED_TRAININGS.items():
         for suite in entry.suites:
             names[suite] |= dict.fromkeys(entry.recorded_names(name), entry.seeds)
+    names[registered.SUITE] |= dict.fromkeys(registered.TRAININGS, registered.SEEDS)
     for suite, seeds in names.items():
         assert {name: runs.seeds for name, runs in trained(suite).items()} == seeds
     speed_ranges = {tuple(entry.recorded_names(name).values()) for name, entry in SEED_TRAININGS.items()}
@@ -125,3 +128,13 @@ def test_a_fine_tuned_agent_is_compared_with_the_best_controller():
     assert fine_tuning.best_controller(rows) == "ekf"
     ratios = ["2.00 (2.00 ... 2.00)", "0.50 (0.50 ... 0.50)", "0.25 (0.25 ... 0.25)"]
     assert fine_tuning.row_of("otter", rows) == ["`otter`", "`ekf`", *ratios, "3, 1, 0, 5", "0.50", "61"]
+
+
+def test_ppo_learns_on_the_environments_as_registered(tmp_path):
+    """In a quick form of the study: the model is the policy of an evaluation, and a second call trains nothing."""
+    for name in registered.TRAININGS:
+        file = registered.train(name, 0, 1, tmp_path)
+        written = Path(file).stat().st_mtime_ns
+        assert registered.train(name, 0, 1, tmp_path) == file
+        assert Path(file).stat().st_mtime_ns == written
+        assert run_episode(file, "cruise-calm", seed=0).actions.any()

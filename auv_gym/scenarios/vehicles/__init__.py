@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path as FilePath
 from typing import Any
 
 from auv_gym.effects.actuators import Actuators
-from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.sensors import NoiseLevels
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
-from auv_gym.scenarios.records import from_record, guarded, meant, read_table
+from auv_gym.scenarios.records import from_record, guarded, meant, read_table, table_file
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled_part
 
 VEHICLES_FOLDER = FilePath(__file__).parent  # folder of the files NAME.toml
+_LIMITS = ("F_u_max", "F_r_max", "fin", "astern")
+"""Entries of `Actuators` that a vehicle has; scenarios have the others."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,7 @@ class VehicleModel:
     """A vehicle with its actuators, speeds and the sources of its numbers.
 
     Raises:
-        ValueError: a number is not finite or not positive.
+        ValueError: a number is not finite or not positive, or the actuators have an entry that scenarios have.
     """
 
     name: str
@@ -39,7 +43,7 @@ class VehicleModel:
     lag: float | None = None  # [s] approximate lag of the actuators; None: 0.2 s of the paper, scaled
     slowest: float = 0.0  # [m/s] least speed for steering by fins
     shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
-    sensors: Sensors | None = None  # its instruments, whose noise replaces that of scenarios; None: scaled noise
+    sensors: NoiseLevels | None = None  # of its instruments, in place of those of scenarios; None: scaled ones
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "assumed"):
@@ -49,6 +53,10 @@ class VehicleModel:
         for name in ("turn_rate", "lag"):
             if getattr(self, name) is not None:
                 check_number(f"vehicle {name}", getattr(self, name), 1e-6, 1e3)
+        for name, usual in ((f.name, f.default) for f in fields(Actuators) if f.name not in _LIMITS):
+            if (value := getattr(self.actuators, name)) != usual:
+                advice = "write lag before [vehicle]" if name == "lag" else f"{name} is an entry of scenarios"
+                raise ValueError(f"vehicle actuators {name} is {value!r}; allowed are {', '.join(_LIMITS)}: {advice}")
 
     def drag(self, speed: float) -> tuple[float, float, float]:
         """Return drag over velocity at a surge speed [m/s], for surge and sway [kg/s] and yaw [kg m^2/s]."""
@@ -77,13 +85,30 @@ class VehicleModel:
         """Return the vehicle model of a .toml or .json file.
 
         Raises:
-            ValueError: the file is of another kind, is not valid, or has a wrong entry.
+            ValueError: the file is of another kind, has a wrong entry or lacks one, or its thrust is below its drag.
             OSError: the file cannot be read.
         """
+        record = read_table(FilePath(file))
         with guarded(str(file)):
-            return from_record(cls, read_table(FilePath(file)), "vehicle file")
+            model = from_record(cls, record, "vehicle file")
+            for table, name in (("vehicle", "speed"), ("actuators", "F_u_max"), ("actuators", "F_r_max")):
+                if name not in record[table]:
+                    raise ValueError(
+                        f"the table [{table}] lacks the entry {name!r}; a vehicle file has the fastest cruise speed "
+                        "[m/s], and the limits F_u_max [N] and F_r_max [N m]"
+                    )
+            v, F_u_max = model.vehicle, model.actuators.F_u_max
+            if (needed := model.drag(v.speed)[0] * v.speed) > F_u_max:
+                held = 2 * F_u_max / (v.d11 + math.sqrt(v.d11**2 + 4 * v.X_uu * F_u_max))
+                raise ValueError(
+                    f"speed {v.speed:g} m/s needs {needed:.3g} N, but F_u_max is {F_u_max:g} N, which holds "
+                    f"{held:.2g} m/s; lower the speed, or correct drag or F_u_max"
+                )
+            return model
 
 
+VehicleLike = Vehicle | VehicleModel | str | os.PathLike[str] | Mapping[str, Any]
+"""A vehicle, its model, the dict of one of them, its file, or the name of a vehicle."""
 PAPER_LAG = 0.2
 """Nominal lag [s] of the actuators of the paper's vehicle."""
 PAPER = VehicleModel(
@@ -110,24 +135,30 @@ def list_vehicles() -> list[str]:
     return [*VEHICLES, *vehicle_names()]
 
 
-@cache
 def vehicle_model(name: str) -> VehicleModel:
-    """Return the vehicle model for a name of `vehicle_names`, or of a file.
+    """Return the vehicle model for a name of `vehicle_names`, or of a file, which is read again at each call.
 
     Raises:
         ValueError: the vehicle does not exist, or its file is wrong.
         OSError: the file cannot be read.
     """
-    return VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml" if name in vehicle_names() else name)
+    return _published().get(name) or VehicleModel.load(name)
+
+
+@cache
+def _published() -> dict[str, VehicleModel]:
+    return {name: VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml") for name in vehicle_names()}
 
 
 def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
-    """Return the vehicle model for an object, a name or a file; None for anything else."""
+    """Return the vehicle model for an object, its dict, a name or a file; None for anything else."""
     if isinstance(vehicle, VehicleModel):
         return vehicle
-    if not isinstance(vehicle, str) or vehicle in VEHICLES:
-        return None
-    return vehicle_model(vehicle) if vehicle in vehicle_names() or vehicle.endswith((".toml", ".json")) else None
+    if isinstance(vehicle, Mapping) and "vehicle" in vehicle:
+        return from_record(VehicleModel, vehicle, "vehicle")
+    if isinstance(vehicle, str) and vehicle in vehicle_names():
+        return vehicle_model(vehicle)
+    return None if (file := table_file(vehicle)) is None else VehicleModel.load(file)
 
 
 def vehicle_model_of(vehicle: Any) -> VehicleModel | None:
@@ -135,15 +166,11 @@ def vehicle_model_of(vehicle: Any) -> VehicleModel | None:
 
     None for anything else: then the limits and the lag of its actuators are not known.
     """
-    return _published().get(vehicle) if isinstance(vehicle, Vehicle) else as_vehicle_model(vehicle)
+    published = (model for model in _published().values() if model.vehicle == vehicle)
+    return next(published, None) or as_vehicle_model(vehicle)
 
 
-@cache
-def _published() -> dict[Vehicle, VehicleModel]:
-    return {vehicle_model(name).vehicle: vehicle_model(name) for name in vehicle_names()}
-
-
-def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Vehicle:
+def as_vehicle(vehicle: VehicleLike) -> Vehicle:
     """Return the vehicle for an object, a name, a file, or a dict of its parameters.
 
     Raises:
@@ -151,12 +178,12 @@ def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Veh
     """
     if isinstance(vehicle, Vehicle):
         return vehicle
-    if isinstance(vehicle, Mapping):
-        return from_record(Vehicle, vehicle, "vehicle")
     if isinstance(vehicle, str) and vehicle in VEHICLES:
         return VEHICLES[vehicle]
     if (vehicle_model := as_vehicle_model(vehicle)) is not None:
         return vehicle_model.vehicle
+    if isinstance(vehicle, Mapping):
+        return from_record(Vehicle, vehicle, "vehicle")
     names = list_vehicles()
     raise ValueError(
         f"unknown vehicle {vehicle!r}{meant(vehicle, names)}; allowed are a Vehicle, a dict, a .toml file, or one of "

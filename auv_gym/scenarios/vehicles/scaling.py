@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.units import Units
@@ -47,11 +48,11 @@ def scaled_part(name: str, part: Any, units: Units) -> Any:
     if part is None or isinstance(part, Path):
         return part
     powers = dict(SCENARIO_POWERS[name])
-    if name == "sensors":
+    if isinstance(part, Sensors):
         part = replace(part, reckoning=scaled_part("reckoning", part.reckoning, units))
     if name == "current" and not part.relative:
         powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
-    entries = {entry: getattr(part, entry) for entry in powers}
+    entries = {entry: getattr(part, entry, None) for entry in powers}  # `NoiseLevels` has some of those of `Sensors`
     return replace(part, **{e: scaled(x, units.factor(*powers[e])) for e, x in entries.items() if x is not None})
 
 

@@ -15,21 +15,24 @@ class SB3VecEnv(VecEnv):
     """A vector environment with SAME_STEP autoreset as a `VecEnv` of Stable-Baselines3.
 
     Use it instead of a `DummyVecEnv`; wrap it in `VecMonitor` for episode statistics. There are no objects of the
-    sub-environments: attributes and methods are those of the vector environment, the same for each.
+    sub-environments: attributes and methods are those of the vector environment, the same for each, except `scenario`.
 
     Args:
         env: a vector environment of this package, from `gym.make_vec(..., vectorization_mode="vector_entry_point")`.
 
     Raises:
-        ValueError: it has another autoreset mode.
+        ValueError: it is no vector environment, or has another autoreset mode.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(env, gym.vector.VectorEnv):
+            raise ValueError(f"{env} is not a vector environment; make one by gym.make_vec")
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
             raise ValueError(
                 f"the vector environment has autoreset mode {getattr(mode, 'name', mode)}; Stable-Baselines3 needs "
-                "SAME_STEP: gym.make_vec(..., autoreset_mode='SAME_STEP')"
+                "SAME_STEP: gym.make_vec(..., autoreset_mode='SameStep'), or with vectorization_mode='sync' "
+                "vector_kwargs={'autoreset_mode': gym.vector.AutoresetMode.SAME_STEP}"
             )
         self.env = env
         self._actions: NDArray[Any] | None = None
@@ -76,8 +79,12 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of the vector environment, once for each index."""
-        owner = self.env if hasattr(self.env, attr_name) else self.env.unwrapped
+        """Return an attribute of the vector environment, once for each index, or the scenario of each."""
+        base: Any = self.env.unwrapped
+        if attr_name == "scenario":
+            each = getattr(base, "scenarios", None) or base.get_attr(attr_name)  # of Gymnasium's `SyncVectorEnv`
+            return [each[i] for i in self._get_indices(indices)]
+        owner = self.env if hasattr(self.env, attr_name) else base
         return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
