@@ -325,7 +325,7 @@ def _in_order(columns: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
     """Return columns whose time increases, and sentences on what was done.
 
     Rows that are out of order are sorted; a large step back begins a run. Rows nearer than a fifth of the usual time
-    between two values of a measurement are one: stamps that are doubled, and messages of several sensors in a burst.
+    between two values of a column are one: stamps that are doubled, and messages of several sensors in a burst.
     """
     if len(t := columns.get("t", np.empty(0))) < 3:
         return columns, []
@@ -338,7 +338,7 @@ def _in_order(columns: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
     if late := int(np.count_nonzero((np.diff(t) < 0) & (np.diff(run) == 0))):
         notes.append(f"t goes back {late} times within a run: its rows are sorted")
     table = {name: values[order] for name, values in {**columns, "t": t}.items()}
-    values = [table["t"][np.isfinite(v)] for name, v in table.items() if name not in (*_HELD, "t")]
+    values = [table["t"][np.isfinite(column)] for name, column in table.items() if name != "t"]
     period = min((float(np.median(np.abs(np.diff(one)))) for one in values if len(one) > 2), default=0.0)
     step = np.diff(table["t"])
     near = np.append(False, (step >= 0) & (step <= _NEAR * period) & (np.diff(run) == 0))

@@ -177,7 +177,7 @@ def identify(
     if unknown := [name for name in known if name not in names_of(log)]:
         raise ValueError(f"{unknown[0]!r} is not a parameter of this log; allowed are {', '.join(names_of(log))}")
     initial = initial_values(log, over_ground, candidates, known)
-    length, rows = segment_length(log, initial.values), LONGER * FIRST_SEGMENT
+    length, rows = segment_length(log, initial.values), LONGER * FIRST_SEGMENT * log.rarity
     last: _BackwardElimination | None = None
     while True:  # the fit of short segments gives initial values for longer ones
         starts = segment_starts(log, min(rows * log.dt, length))

@@ -84,7 +84,8 @@ def initial_values(log: Log, over_ground: bool, terms: Sequence[str], known: Map
     if log.kind != "force":
         return _of_shaft(log, terms, known)
     noise = rough_noise(log)
-    starts = np.concatenate([np.arange(run.start, run.stop - FIRST_SEGMENT, FIRST_SEGMENT) for run in log.runs])
+    rows = FIRST_SEGMENT * log.rarity
+    starts = np.concatenate([np.arange(run.start, run.stop - rows, rows) for run in log.runs])
     linear_fits = [linear_fit(log, window) for window in SMOOTHING_LENGTHS]
     for substeps in _SUBSTEPS:
         model = LogModel(log, starts, substeps, over_ground)

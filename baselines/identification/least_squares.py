@@ -71,6 +71,7 @@ class Residuals:
     seen: NDArray[np.bool_] | None = (
         None  # measurements that count, shape (T, 6), see `Log`; the others have errors of 0
     )
+    bases: Array | None = None  # orthonormal basis, for each segment, of what its initial state explains, (T, 6, 6)
 
     def counted(self, rows: slice, column: int) -> slice | Indices:
         """Return those of some rows in which a measurement counts."""
@@ -107,14 +108,16 @@ def residuals(model: LogModel, values: Array, free: Indices, states: Array, nois
             changes = np.where(better[:, None], _state_changes(by_state, errors, segments), changes)
     if not all(np.abs(x).max(initial=0.0) < DIVERGENT_ERROR for x in (errors, slopes, by_state)):  # false for nan too
         return None
+    bases = np.empty_like(by_state)
     for part in segments:
         basis, _ = np.linalg.qr(by_state[part].reshape(-1, LOG_STATES))
+        bases[part] = basis.reshape(bases[part].shape)
         both = np.column_stack((slopes[part].reshape(errors[part].size, len(free)), errors[part].ravel()))
         both -= basis @ (basis.T @ both)
         slopes[part], errors[part] = both[:, :-1].reshape(slopes[part].shape), both[:, -1].reshape(errors[part].shape)
     if seen is not None:  # the projection leaves rounding errors
         errors, slopes = errors * seen, slopes * seen[:, :, None]
-    return Residuals(trial, errors, slopes, seen)
+    return Residuals(trial, errors, slopes, seen, bases)
 
 
 def _state_changes(by_state: Array, errors: Array, segments: Sequence[slice]) -> Array:

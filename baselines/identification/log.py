@@ -34,7 +34,9 @@ _MIN_MOTION = 1e-6  # least peak velocity [m/s], [rad/s] of a log, and least ran
 _TURNED = 0.5  # [rad] change of the heading from which no speed is constant
 _LEAST_NOISE = 1e-6  # as a share of the range of a measurement
 _EPOCH = 1e8  # [s] time from which stamps are counted from the first one
-_FAR, _FEW = 10.0, 0.02  # an outlier is this multiple of a usual change away from its neighbours; share of outliers
+_FAR, _BEYOND = 10.0, 3.0  # least distances of an outlier, as multiples of usual changes and of the range of the others
+_FEW = 0.02  # largest share of outliers
+_FROZEN, _OFTEN = 10, 0.05  # rows from which a value is frozen; share of equal rows from which a sensor is coarse
 _GAP = 5  # a gap is a time step above this multiple of the median time step
 
 
@@ -138,6 +140,11 @@ class Log:
         return every if self.seen is None else every[self.seen[rows, column]]
 
     @property
+    def rarity(self) -> int:
+        """Number of rows for each value of the measurement that comes most often."""
+        return 1 if self.seen is None else max(1, round(len(self.t) / max(int(self.seen.sum(axis=0).max()), 1)))
+
+    @property
     def duration(self) -> float:
         """Total length of all runs [s]."""
         return float(sum(self.t[run][-1] - self.t[run][0] for run in self.runs))
@@ -233,6 +240,7 @@ def _seen(columns: Mapping[str, Array]) -> tuple[NDArray[np.bool_], list[str]]:
     """
     table = np.column_stack([columns[name] for name in MEASURED_COLUMNS])
     seen, notes = np.isfinite(table), []
+    fastest = float(np.nanquantile(np.hypot(table[:, 3], table[:, 4]), 0.99))  # [m/s]
     for names in (("x", "y"), *((name,) for name in MEASURED_COLUMNS[2:])):
         at = [MEASURED_COLUMNS.index(name) for name in names]
         rows, label = np.flatnonzero(seen[:, at].all(axis=1)), ", ".join(names)
@@ -243,11 +251,17 @@ def _seen(columns: Mapping[str, Array]) -> tuple[NDArray[np.bool_], list[str]]:
         elif (knots := _knots(values)) is not None:
             again = ~knots
             notes.append(f"{label} are interpolated between {np.count_nonzero(knots)} values: only these count")
-        elif (again := _outliers(values)).any():
-            notes.append(
-                f"{label} in {np.count_nonzero(again)} rows are far from those before and after, the first in data row "
-                f"{rows[again][0] + 1}: they do not count"
-            )
+        else:
+            reach = 0.0
+            if names == ("x", "y"):  # a place that the vehicle could not reach from fix to fix
+                reach = _FAR * fastest * float(np.median(np.diff(columns["t"][rows]))) if len(rows) > 1 else 0.0
+            again, frozen = _outliers(values, reach), _frozen(values)
+            for found, what in ((again, "are far from those before and after"), (frozen, "repeat the row before")):
+                if found.any():
+                    first = rows[found][0] + 1
+                    count = np.count_nonzero(found)
+                    notes.append(f"{label}: {count} rows {what}, the first in data row {first}; they do not count")
+            again = again | frozen
         seen[np.ix_(rows[again], at)] = False
     return seen, notes
 
@@ -269,17 +283,35 @@ def _knots(values: Array) -> NDArray[np.bool_] | None:
     return np.concatenate(([True], bent, [True])) if np.mean(np.abs(every - often) < 0.35 * often) > 0.8 else None
 
 
-def _outliers(values: Array) -> NDArray[np.bool_]:
+def _outliers(values: Array, reach: float) -> NDArray[np.bool_]:
     """Return the rows of values (T, n) that are far from the median of five, compared with usual changes; few or none.
 
-    Up to two of five are then found, as single wrong cells, and marks such as -999 for a missing value.
+    Up to two of five are then found: single wrong cells, and marks such as -999 for a missing value. They are also
+    farther than `reach` away, or than several times the range of all other values, since a short manoeuvre changes a
+    speed as suddenly.
     """
     if len(values) < _MIN_ROWS:
         return np.zeros(len(values), dtype=bool)
     away = np.abs(values - median_filter(values, (5, 1), mode="nearest"))
     usual = np.quantile(np.abs(np.diff(values, axis=0)), 0.95, axis=0)
-    far: NDArray[np.bool_] = (away > _FAR * np.maximum(usual, 1e-9)).any(axis=1)
+    apart = away > _FAR * np.maximum(usual, 1e-9)
+    others = np.where(apart, np.nan, values)
+    limit = reach or _BEYOND * (np.nanmax(others, axis=0) - np.nanmin(others, axis=0))
+    far: NDArray[np.bool_] = (apart & (away > limit)).any(axis=1)
     return far if 0 < np.mean(far) < _FEW else np.zeros(len(values), dtype=bool)
+
+
+def _frozen(values: Array) -> NDArray[np.bool_]:
+    """Return the rows of noisy values (T, n) that repeat the row before for long; a speed of 0 may be one at rest."""
+    steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
+    same = np.append(False, (steps == 0).all(axis=1))
+    noisy = len(values) >= _MIN_ROWS and (np.median(bends, axis=0) > 0.5 * np.median(steps, axis=0)).all()
+    begins = np.flatnonzero(~same)
+    lengths = np.diff(np.append(begins, len(same)))
+    long = (lengths > _FROZEN) & values[begins].any(axis=1)
+    return (
+        same & np.repeat(long, lengths) if noisy and np.mean(same[np.repeat(~long, lengths)]) < _OFTEN else same & False
+    )
 
 
 def _resolution(values: Array) -> float:

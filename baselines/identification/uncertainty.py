@@ -31,18 +31,25 @@ def whiteness(residuals: Residuals, starts: Indices) -> float:
     """Return the probability that white noise has an autocorrelation as large as the residuals, or larger.
 
     It is the p-value of the portmanteau statistic of all measurements together (G. M. Ljung and G. E. P. Box, "On a
-    measure of lack of fit in time series models", Biometrika 65:297-303, 1978).
+    measure of lack of fit in time series models", Biometrika 65:297-303, 1978). The initial states that are fitted in
+    each segment make the residuals of white noise correlated; this correlation is subtracted.
 
     `starts` are the first rows of the segments.
     """
     segments, total, terms = slices(starts, len(residuals.errors)), 0.0, 0
     for j, channel in enumerate(residuals.errors.T):
-        parts = [channel[residuals.counted(s, j)] for s in segments]
-        variance = float(np.sum(channel**2)) / max(sum(map(len, parts)), 1)
+        rows = [residuals.counted(s, j) for s in segments]
+        parts = [channel[part] for part in rows]
+        bases = [np.zeros((len(part), 0)) for part in parts]
+        if residuals.bases is not None:
+            bases = [residuals.bases[part, j] for part in rows]
+        fitted = sum(float(np.sum(basis**2)) for basis in bases)
+        variance = float(np.sum(channel**2)) / max(sum(map(len, parts)) - fitted, 1)
         for k in range(1, PORTMANTEAU + 1):
             if count := sum(max(len(part) - k, 0) for part in parts):
-                products = [part[:-k] @ part[k:] for part in parts]
-                total, terms = total + (sum(products) / variance) ** 2 / count, terms + 1
+                products = sum(float(part[:-k] @ part[k:]) for part in parts) / variance
+                expected = -sum(float(np.sum(basis[:-k] * basis[k:])) for basis in bases)
+                total, terms = total + (products - expected) ** 2 / count, terms + 1
     return float(chdtrc(terms, total))
 
 

@@ -11,6 +11,8 @@ import pytest
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from baselines.identification import identify
 from baselines.identification.axes import ContradictionError
 from baselines.identification.columns import FORMATS_FOLDER, Format, repeated
 from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, joined, rough_noise
@@ -258,7 +260,49 @@ def test_marks_of_missing_values_and_wrong_fixes_do_not_count(log, tmp_path):
     got = Log.load(written(tmp_path, shown))
     assert np.flatnonzero(~got.seen[:, 3]).tolist() == [100, 300]
     assert np.flatnonzero(~got.seen[:, 0]).tolist() == np.flatnonzero(~got.seen[:, 1]).tolist() == [50, 51, 200]
-    assert "u in 2 rows are far from those before and after, the first in data row 101: they do not count" in got.notes
+    assert "u: 2 rows are far from those before and after, the first in data row 101; they do not count" in got.notes
+
+
+def test_a_frozen_sensor_does_not_count_and_one_at_rest_does(log, tmp_path):
+    rng, si = np.random.default_rng(1), table(log)
+    shown = {
+        n: values + (0 if n in ("t", "F_u", "F_r") else rng.normal(0, 0.03, len(values))) for n, values in si.items()
+    }
+    shown["u"][200:300], shown["v"][:50] = shown["u"][200], 0.0
+    got = Log.load(written(tmp_path, shown))
+    assert np.flatnonzero(~got.seen[:, 3]).tolist() == [*range(201, 300)]
+    assert got.seen[:, [0, 1, 2, 4, 5]].all()
+    assert got.notes == ("u: 99 rows repeat the row before, the first in data row 202; they do not count",)
+
+
+def test_a_short_manoeuvre_is_no_outlier(tmp_path):
+    """A vehicle at rest that sprints for eight seconds, at 1 Hz; and turns of a transect that last two rows."""
+    t, noise = np.arange(600.0), 0.01 * np.random.default_rng(0).standard_normal((6, 600))
+    for begins in ([570], [100, 200, 300, 400, 500]):
+        r, u = np.zeros(600), np.full(600, 0.8 if len(begins) > 1 else 0.0)
+        for k in begins:
+            r[k : k + 3] = 0.1, 0.3, 0.1
+            u[k - 4 : k + 4] = 1.2
+        psi = np.cumsum(r)
+        x, y = np.cumsum(u * np.cos(psi)), np.cumsum(u * np.sin(psi))
+        measured = np.array((x, y, psi, u, 0 * t, r)) + noise
+        commands = {"F_u": 80 * u, "F_r": 50 * r}
+        got = Log.load(written(tmp_path, dict(zip(("t", *MEASURED_COLUMNS), (t, *measured), strict=True)) | commands))
+        assert got.notes == ()
+
+
+@pytest.mark.parametrize("rows", [5, 10])
+def test_measurements_that_are_rarer_than_rows_are_fitted(rows, tmp_path):
+    """All of them blank in the other rows, whose commands change."""
+    noisy = example(PAPER_VEHICLE, Actuators(lag=0.4), PRESETS["cruise-noise"].sensors, 3)
+    often = np.arange(len(noisy.t)) % rows == 0
+    shown = {n: v if n in ("t", "F_u", "F_r") else np.where(often, v, np.nan) for n, v in table(noisy).items()}
+    got = Log.load(written(tmp_path, shown))
+    np.testing.assert_array_equal(got.commands, noisy.commands)
+    fitted = identify(got, ("X_uu",))
+    assert not fitted.misfit
+    for name in ("m11", "m22", "m33", "d11", "d22", "d33"):
+        assert fitted[name].value == pytest.approx(getattr(PAPER_VEHICLE, name), rel=0.05)
 
 
 def test_the_noise_of_a_coarse_sensor_is_that_of_its_rounding(log):

@@ -160,6 +160,22 @@ def test_the_vehicle_file_of_the_tutorial_is_that_of_the_command():
     assert set(shown) <= set(written)
 
 
+def test_the_states_that_are_fitted_make_no_misfit():
+    """Many short segments: p-values of right logs are small by chance only, although the residuals are correlated."""
+    rng, p_values = np.random.default_rng(5), []
+    for _ in range(200):
+        noise, basis = rng.standard_normal((1000, 6)), np.zeros((1000, 6, 6))
+        starts = np.arange(0, 1000, 20)
+        for k in starts.tolist():
+            smooth = np.stack([np.eye(6) * (i / 20) ** 0.5 + 0.5 for i in range(1, 21)])
+            q, _ = np.linalg.qr(smooth.reshape(-1, 6))
+            basis[k : k + 20] = q.reshape(20, 6, 6)
+            noise[k : k + 20] -= (q @ (q.T @ noise[k : k + 20].ravel())).reshape(20, 6)
+        p_values.append(whiteness(Residuals(np.zeros((50, 6)), noise, np.zeros((1000, 6, 0)), None, basis), starts))
+    assert np.mean(np.array(p_values) < 0.05) < 0.1
+    assert whiteness(Residuals(np.zeros((50, 6)), noise, np.zeros((1000, 6, 0))), starts) < 1e-3
+
+
 def test_white_residuals_are_told_from_correlated_ones():
     """The p-value is uniform for white noise, and small for errors that last for two rows."""
     rng, starts = np.random.default_rng(2), np.array([0, 250, 500, 750])
