@@ -37,12 +37,16 @@ _NAMES = {
     "lon": ("lon", "long", "lng", "longitude"),
     "speed": ("speed", "velocity", "vel", "groundspeed"),
 }
-_HEAD = re.compile(r"(.*?)(?:[\s_]*[\[(]\s*(.*?)\s*[\])]|_([a-z/]+))?")
+_HEAD = re.compile(r"(.*?)(?:[\s_]*[\[(]\s*(.*?)\s*[\])]|[\s_]([a-z/]+))?")
 """A heading of a column: "speed [m/s]", "speed (m/s)", "speed_kn", "speed"."""
-_UNITS = {"m": 1.0, "km": 1e3, "deg": 1.0, "m/s": 1.0, "mps": 1.0, "km/h": 1 / 3.6, "kmh": 1 / 3.6}
-_UNITS |= dict.fromkeys(("kn", "kt", "kts", "knots"), 1852 / 3600)
-_WAYPOINT, _SPLINE, _JUMP, _SPEED = 16, 82, 177, 178
-"""Commands of MAVLink: NAV_WAYPOINT, NAV_SPLINE_WAYPOINT, DO_JUMP, DO_CHANGE_SPEED. Others up to 95 navigate too."""
+_LENGTHS, _ANGLES = {"m": 1.0, "km": 1e3}, {"deg": 1.0, "degrees": 1.0}
+_SPEEDS = {"m/s": 1.0, "mps": 1.0, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6}
+_SPEEDS |= dict.fromkeys(("kn", "kt", "kts", "knots"), 1852 / 3600)
+_UNITS = {"x": _LENGTHS, "y": _LENGTHS, "lat": _ANGLES, "lon": _ANGLES, "speed": _SPEEDS}
+"""Units of the columns, the first of each without one, and their factors."""
+_WAYPOINT, _SPLINE, _SPEED = 16, 82, 178  # of MAVLink: NAV_WAYPOINT, NAV_SPLINE_WAYPOINT, DO_CHANGE_SPEED
+_IN_PLACE = (112, 113, 114, 115, 177, 194)
+"""Commands of MAVLink that change the motion, beside those up to 95: conditions, DO_JUMP, DO_SET_REVERSE."""
 _TURN_RATE = 0.12
 """Turn rate [rad/s] of a vehicle that has none of its own, for the paper's vehicle."""
 _LONGEST = 10**6  # control steps of an episode
@@ -145,7 +149,7 @@ def _of_table(name: str, text: str) -> Mission:
     heading, *rows = ([cell.strip() for cell in (lines[k].split() if blanks else one)] for k, one in zip(
         data, csv.reader([lines[k].lstrip("# ") for k in data], delimiter=separator), strict=True
     ))  # fmt: skip
-    found = {key: place for key, names in _NAMES.items() if (place := _place(heading, names)) is not None}
+    found = {key: place for key in _NAMES if (place := _place(heading, key)) is not None}
     pair = ("lat", "lon") if {"lat", "lon"} <= set(found) else ("x", "y")
     if not set(pair) <= set(found):
         raise ValueError(
@@ -176,19 +180,20 @@ def _of_table(name: str, text: str) -> Mission:
     return Mission(name, tuple(zip(first, second, strict=True)), _of_legs(speeds))
 
 
-def _place(heading: Sequence[str], names: Sequence[str]) -> tuple[int, float] | None:
-    """Return index and factor to SI units of the first column with one of the names, None if there is none.
+def _place(heading: Sequence[str], key: str) -> tuple[int, float] | None:
+    """Return index and factor to SI units of the first column of a quantity, None if there is none.
 
     Raises:
         ValueError: its unit is unknown.
     """
+    units = _UNITS[key]
     for k, cell in enumerate(heading):
-        name, bracket, suffix = _HEAD.fullmatch(cell.lower().replace("m_s", "m/s")).groups()  # type: ignore[union-attr]
-        unit = bracket or suffix or "m"
-        if name in names and (bracket or unit in _UNITS):
-            if unit not in _UNITS:
-                raise ValueError(f"the unit of column {cell} is unknown; allowed are {', '.join(_UNITS)}")
-            return k, _UNITS[unit]
+        name, bracket, suffix = _HEAD.fullmatch(re.sub(r"(k?m)_([sh])\b", r"\1/\2", cell.lower())).groups()  # type: ignore[union-attr]
+        unit = bracket or suffix or next(iter(units))
+        if name in _NAMES[key] and (bracket or unit in units):
+            if unit not in units:
+                raise ValueError(f"the unit of column {cell} is unknown; allowed are {', '.join(units)}")
+            return k, units[unit]
     return None
 
 
@@ -224,7 +229,9 @@ def _of_plan(record: Any) -> _Places:
             inner = item.get("TransectStyleComplexItem", {}).get("Items", ())
             waiting, empty = [*inner, *waiting], empty + (not inner)
     if empty:
-        _note(f"{empty} surveys or structures without waypoints are left out: save the plan with a newer planner")
+        _note(
+            f"{empty} surveys, structures or landings without waypoints are left out; newer planners write them"
+        )
     return _of_items(items)
 
 
@@ -240,8 +247,10 @@ def _of_items(items: Sequence[tuple[int, Sequence[float]]]) -> _Places:
             lat.append(params[4])
             lon.append(params[5])
             speeds.append(speed)  # it holds from its command on, on the way to this waypoint
-        if (command <= 95 or command == _JUMP) and command != _WAYPOINT:
-            others.append(f"{command} in item {k}")
+        if ((command <= 95 or command in _IN_PLACE) and command != _WAYPOINT) or (
+            command == _WAYPOINT and params[0] > 0
+        ):
+            others.append(f"{command}{' with a hold time' if command == _WAYPOINT else ''} in item {k}")
     if others:
         _note(
             f"commands of MAVLink that are not followed: {', '.join(others)}; waypoints ({_WAYPOINT}, {_SPLINE}) are "
@@ -259,14 +268,21 @@ def _of_geojson(record: Any) -> _Places:
         if kinds.count("LineString") > 1:
             _note(f"the first of {kinds.count('LineString')} lines is used")
         points = shapes[kinds.index("LineString")]["coordinates"]
-        speeds = [math.nan] * len(points)
+        speeds = [_speed_of(features[kinds.index("LineString")])] * len(points)
     else:
         chosen = [k for k, kind in enumerate(kinds) if kind == "Point"]
         if not chosen:
-            raise ValueError(f"it has {', '.join(map(str, dict.fromkeys(kinds)))}; it must have a LineString or Points")
+            shown = ", ".join(str(kind or "no geometry") for kind in dict.fromkeys(kinds)) or "no features"
+            raise ValueError(f"it has {shown}; it must have a LineString or Points")
         points = [shapes[k]["coordinates"] for k in chosen]
-        speeds = [float((features[k].get("properties") or {}).get("speed", math.nan)) for k in chosen]
+        speeds = [_speed_of(features[k]) for k in chosen]
     return [point[1] for point in points], [point[0] for point in points], speeds
+
+
+def _speed_of(feature: Any) -> float:
+    """Return the property `speed` [m/s] of a feature, nan without one."""
+    value = (feature.get("properties") or {}).get("speed")
+    return math.nan if value in (None, "") else float(value)
 
 
 def _geographic(name: str, lat: Sequence[float], lon: Sequence[float], speeds: Sequence[float]) -> Mission:

@@ -13,8 +13,10 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import from_geographic
 from auv_gym.planning.paths.waypoints import WaypointWarning
+from auv_gym.planning.planner import plan
 from auv_gym.scenarios.missions import Mission, mission_scenario, read_mission
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import vehicle_model
 
 LAT, LON = [59.9, 59.9005, 59.9005, 59.9], [10.7, 10.7, 10.7003, 10.7003]
 XY = from_geographic(LAT, LON)
@@ -77,6 +79,8 @@ STEPS = [[0, 0], [30, 0], [30, 20], [0, 20]]
 TABLES = {
     "units": ("X [m],Y (m),Speed [kn]\n", "{},{},1\n"),
     "suffixes": ("x_m;y_m;speed_kn\n", "{};{};1\n"),
+    "per hour": ("x,y,speed_km_h\n", "{},{},1.852\n"),
+    "without brackets": ("x m,y m,speed km/h\n", "{},{},1.852\n"),
     "no speed on the last row": ("x,y,speed_kn\n", "{},{},1\n"),
     "a heading in a comment": ("# a survey\n# x_km,y_km,velocity (knots)\n", "{0:e},{1:e},1\n"),
     "blanks": ("  x   y   speed_kn\n", "{}  {}  1\n"),
@@ -87,7 +91,7 @@ TABLES = {
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_headings_of_tables_are_read_with_their_units(name, encoding, tmp_path):
     head, row = TABLES[name]
-    scale = 1e-3 if "km" in head else 1.0
+    scale = 1e-3 if "x_km" in head else 1.0
     text = head + "".join(row.format(x * scale, y * scale) for x, y in STEPS)
     text = text.removesuffix("1\n") if "last" in name else text
     (tmp_path / "m.csv").write_bytes(text.encode(encoding))
@@ -126,7 +130,8 @@ def changed_plan(*items, at=2):
         ([item(178, 1, -2, -1, 0, 0, 0, 0)], (math.nan, math.nan, 0.6), None),  # the usual one
         ([item(18, 1, 0, 0, 0, *XY[0], 0)], (0.8, 0.8, 0.6), "not followed: 18 in item 3"),
         ([item(177, 1, 2, 0, 0, 0, 0, 0)], (0.8, 0.8, 0.6), "not followed: 177 in item 3"),
-        ([{"type": "ComplexItem", "complexItemType": "survey"}], (0.8, 0.8, 0.6), "1 surveys or structures"),
+        ([{"type": "ComplexItem", "complexItemType": "survey"}], (0.8, 0.8, 0.6), "1 surveys, structures or landings"),
+        ([item(194, 1, 0, 0, 0, 0, 0, 0)], (0.8, 0.8, 0.6), "not followed: 194 in item 3"),
         ([item(203, 0, 0, 0, 0, 0, 0, 0)], (0.8, 0.8, 0.6), None),  # a camera
     ],
 )
@@ -141,9 +146,17 @@ def test_commands_of_a_plan_are_followed_or_named(items, speeds, note, tmp_path,
 def test_what_a_file_has_beside_is_named(tmp_path):
     two = {"type": "FeatureCollection", "features": [{"geometry": None}, {"geometry": LINE}, {"geometry": LINE}]}
     slow = [{**point, "properties": {"speed": 0.5}} for point in POINTS]
+    slow[-1]["properties"] = {"speed": None}
     for name, text, note, speeds in (
         ("m.csv", "x,y,alt,v\n0,0,3,1\n9,0,3,1\n", "m: the columns alt, v are not used", ()),
         ("m.geojson", json.dumps(two), "the first of 2 lines is used", ()),
+        ("m.geojson", json.dumps({"geometry": LINE, "properties": {"speed": 0.5}}), None, (0.5,) * 3),
+        (
+            "m.plan",
+            json.dumps(PLAN).replace('"params": [0,', '"params": [30,', 1),
+            "16 with a hold time in item 1",
+            (0.8, 0.8, 0.6),
+        ),
         ("m.json", json.dumps({"type": "FeatureCollection", "features": slow}), None, (0.5,) * 3),
         ("m.txt", WPL.replace("\t16\t", "\t82\t"), "not followed: 82 in item 1", (0.8, 0.8, 0.6)),
     ):
@@ -158,8 +171,10 @@ def test_what_a_file_has_beside_is_named(tmp_path):
         (
             "m.csv",
             "x,y,speed [furlong/h]\n0,0,1\n",
-            r"unit of column speed \[furlong/h\] is unknown; allowed are m, km",
+            r"unit of column speed \[furlong/h\] is unknown; allowed are m/s, mps",
         ),
+        ("m.csv", "x [kn],y\n0,0\n", r"unit of column x \[kn\] is unknown; allowed are m, km"),
+        ("m.geojson", '{"features": []}', "it has no features; it must have"),
         ("m.csv", b"\xff\xfe\x00", "m.csv: "),
         ("m.csv", "x,y\n0,0\n".encode("utf-32"), "m.csv: "),
         ("m.geojson", "[[1, 2], [3, 4]]", "it is a list; it must be an object of GeoJSON"),
@@ -223,3 +238,18 @@ def test_coordinates_that_cannot_be_right_are_asked_about():
         mission_scenario(replace(SQUARE, points=((0.0, 0.0), (60.0, 0.0), (1.188e6, 0.0))), radius=5.0)
     with pytest.raises(ValueError, match=r"are these degrees\? In a file name the columns lat and lon"):
         mission_scenario(replace(SQUARE, points=tuple((1e-5 * x, 1e-5 * y) for x, y in SQUARE.points)))
+
+
+@pytest.mark.parametrize("vehicle", ["paper", "eca-a9", "gunnerus", "lauv", "otter", "remus100"])
+def test_a_bend_of_any_angle_can_be_followed(vehicle):
+    """Also one of rounding, as in the coordinates of a straight line."""
+    D = 300.0 * PAPER_VEHICLE.length if vehicle == "paper" else 300.0 * vehicle_model(vehicle).vehicle.length
+    for degrees in (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0, 90.0, 120.0):
+        a = math.radians(degrees)
+        bend = Mission("bend", ((0.0, 0.0), (D, 0.0), (D + D * math.cos(a), D * math.sin(a))))
+        scenario = mission_scenario(bend, vehicle)
+        act, around = (
+            scenario.actuators,
+            scenario.path.arrivals[1] + 30 * scenario.vehicle.time * np.linspace(-1, 1, 600),
+        )
+        plan(scenario.path, scenario.vehicle, around, (act.F_u_max, act.F_r_max), act.fin)

@@ -18,7 +18,8 @@ from auv_gym.planning.paths.waypoints import checked_waypoints
 _ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 _NODES, _WEIGHTS = 0.5 * leggauss(24)[0] + 0.5, 0.5 * leggauss(24)[1]  # Gauss-Legendre on [0, 1]
 _PEAK = 15 / 8  # largest slope of the step S
-_STRAIGHT = 1e-9  # turn at a waypoint [rad] below which it is none
+_SWING = _PEAK * math.sqrt(math.pi / 2)
+"""Length of a slight corner over radius and root of its turn, with the rate of curvature of one of 90 degrees."""
 
 
 class _Segments(NamedTuple):
@@ -38,8 +39,9 @@ class Legs:
 
     In a corner the course changes by the angle between the legs times S(z) = z^3 (10 - 15 z + 6 z^2), with z the share
     of its arc length, and the speed from that of one leg to that of the next by the same law. So course and speed are
-    twice continuously differentiable. The radius of curvature in the middle of a corner is `radius`. A closed path
-    begins behind the corner at the first waypoint.
+    twice continuously differentiable. The radius of curvature in the middle of a corner is `radius`, and larger in a
+    slight corner, which is as long as the change of its curvature needs. A closed path begins behind the corner at the
+    first waypoint.
     """
 
     waypoints: tuple[tuple[float, float], ...]  # [m] (x, y), two or more, three or more if closed
@@ -100,7 +102,8 @@ class Legs:
         if self.closed:
             speeds = np.append(speeds, speeds[0])
         gains = np.diff(speeds)
-        arcs = np.maximum(_PEAK * np.abs(turns) * self.radius, np.where(gains == 0, 0.0, self.radius))
+        bends = np.maximum(_PEAK * np.abs(turns), _SWING * np.sqrt(np.abs(turns)))
+        arcs = np.maximum(bends, np.where(gains == 0, 0.0, 1.0)) * self.radius
         cuts = _cuts(turns, arcs)
         self._check(turns, cuts, lengths)
         before = np.concatenate((cuts[-1:] if self.closed else [0.0], cuts[: len(lengths) - 1]))
