@@ -29,7 +29,8 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
     cannot: a FILE.onnx, and the folder of a trained agent. Every name but a command may end in ":guard", which may be
-    followed by "=" and the name of the fallback policy, and then in ":checked", see `baselines.agents.names`.
+    followed by "=" and the name of the fallback policy, and in ":checked", in either order, see
+    `baselines.agents.names`.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
@@ -45,8 +46,7 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
     """
     parts = PolicyName.of(name)
     if parts.checked:
-        inner = name.removesuffix(":checked")
-        return scaled_for(vehicle, lambda known: Checked(make_policy(inner, known, **options), known))
+        return scaled_for(vehicle, lambda known: Checked(make_policy(parts.unchecked, known, **options), known))
     if (fallback := parts.fallback) is not None:
 
         def guarded(known: Any) -> Policy:

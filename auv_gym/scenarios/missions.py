@@ -229,9 +229,7 @@ def _of_plan(record: Any) -> _Places:
             inner = item.get("TransectStyleComplexItem", {}).get("Items", ())
             waiting, empty = [*inner, *waiting], empty + (not inner)
     if empty:
-        _note(
-            f"{empty} surveys, structures or landings without waypoints are left out; newer planners write them"
-        )
+        _note(f"{empty} surveys, structures or landings without waypoints are left out; newer planners write them")
     return _of_items(items)
 
 

@@ -1,4 +1,4 @@
-"""Names of policies: BASE[:guard[=FALLBACK]][:checked], where the base is a name, a path or a command."""
+"""Names of policies: BASE[:guard[=FALLBACK]][:checked] in either order; the base is a name, a path or a command."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ GUARD = ":guard"
 """Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
 name of the fallback may follow."""
 CHECKED = ":checked"
-"""Suffix of a policy's name, the last one: implausible measurements are replaced, see `baselines.agents.checked`."""
+"""Suffix of a policy's name: implausible measurements are replaced, for its fallback too, see
+`baselines.agents.checked`."""
 COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
@@ -32,7 +33,17 @@ class PolicyName(NamedTuple):
         bare = name.removesuffix(CHECKED) or name
         base, mark, fallback = bare.rpartition(GUARD)
         guarded = bool(mark and base) and (not fallback or (fallback[0] == "=" and len(fallback) > 1))
-        return cls(base if guarded else bare, fallback[1:] if guarded else None, bare != name)
+        if not guarded:
+            return cls(bare, None, bare != name)
+        own = base.removesuffix(CHECKED) or base
+        return cls(own, fallback[1:], bare != name or own != base)
+
+    @property
+    def unchecked(self) -> str:
+        """The name without the suffix `CHECKED`."""
+        if self.fallback is None:
+            return self.base
+        return f"{self.base}{GUARD}={self.fallback}" if self.fallback else self.base + GUARD
 
     @property
     def kind(self) -> str:

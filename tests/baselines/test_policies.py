@@ -14,6 +14,8 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
 from auv_gym.task.policy import preview_of
 from baselines import list_policies, make_policy
+from baselines.agents.checked import Checked
+from baselines.agents.guard import Guarded
 from baselines.agents.names import PolicyName
 from baselines.evaluation import recorded
 from baselines.policy import Privileged
@@ -155,3 +157,13 @@ def test_an_agent_in_the_other_speed_range_warns_once():
         (message,) = messages_of(policy, True, scenario)
         assert "choose the agent for that speed range" in message
         assert messages_of(policy, True, scenario) == []
+
+
+@pytest.mark.parametrize("fallback", ["", "=ekf"])
+def test_the_order_of_suffixes_does_not_matter(fallback):
+    """Measurements are checked for the policy and for its fallback."""
+    names = f"lqi:checked:guard{fallback}", f"lqi:guard{fallback}:checked"
+    assert PolicyName.of(names[0]) == PolicyName.of(names[1]) == ("lqi", fallback[1:], True)
+    for policy in map(make_policy, names):
+        assert isinstance(policy, Checked)
+        assert isinstance(policy.policy, Guarded)
