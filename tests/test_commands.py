@@ -56,6 +56,7 @@ ELSEWHERE = {
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
     r"auv-gym train .*--(from|vehicle) .*": "test_initial_agent.py::test_documented_commands_run",
     r"auv-gym train.*": "test_training.py::test_documented_commands_run",
+    r"auv-gym export .* --vehicle my.toml .*": "test_export.py::test_the_documented_program_gives_the_commands_of_the_policy",
     r"cc -O2 .*": "test_export.py::test_the_documented_program_gives_the_commands_of_the_policy",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"auv-gym verify .*": "test_result_files.py::test_equal_results_are_repeated",
