@@ -14,7 +14,7 @@ import numpy as np
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.mismatch import RandomMismatch
-from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.sensors import NoiseLevels, Sensors
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.steering import Stern
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
@@ -103,6 +103,8 @@ def vehicle_text(identified: Identified, vehicle: Vehicle, limits: tuple[float, 
     for name, limit, peak in zip(LIMIT_NAMES, limits, peaks, strict=True):
         note = interval(identified[name]) if kind == "force" else "the largest of the log"
         lines.append(line(name, limit, note if peak else "not from the log"))
+    levels = zip(vars(noise_levels(identified)).items(), ("m", "rad", "m/s", "rad/s"), strict=True)
+    lines += ["\n[sensors]", *(f"{name} = {x:.3g}  # [{unit}] noise of the log" for (name, x), unit in levels)]
     if kind != "force":
         shaft = ["[shaft]"]
         most = zip(("n_max", "angle_max"), peaks, ("1/s", "rad"), strict=True)
@@ -111,6 +113,12 @@ def vehicle_text(identified: Identified, vehicle: Vehicle, limits: tuple[float, 
         mark = "" if kind == "revolutions" else "# "  # a shaft needs a propeller curve
         lines += ["", *(f"{mark}{text}" for text in shaft)]
     return "\n".join(lines) + "\n"
+
+
+def noise_levels(identified: Identified) -> NoiseLevels:
+    """Return the standard deviations of the noise of the log."""
+    x, y, psi, u, v, r = identified.noise.tolist()
+    return NoiseLevels(max(x, y), psi, max(u, v), r)
 
 
 def limits_of(identified: Identified, like: Actuators | None = None) -> tuple[float, float]:
@@ -153,13 +161,12 @@ def scenario(
     """
     (F_u_max, F_r_max), speed = limits, vehicle.speed
     turn = _TURN * float(np.sqrt(np.mean(identified.model.log.measured[:, 5] ** 2)))
-    x, y, psi, u, v, r = identified.noise.tolist()
     parts: dict[str, Any] = {
         "name": "identified",
         "path": RandomPath(speed=(0.5 * speed, speed), turn_rate=turn),
         "vehicle": vehicle,
         "actuators": Actuators(F_u_max, F_r_max, lag=identified["lag"].value),
-        "sensors": Sensors(max(x, y), psi, max(u, v), r),
+        "sensors": Sensors(**vars(noise_levels(identified))),
         "steps": 600,
     }
     rows = tuple(one.all_coefficients for one in (ensemble or (vehicle,)))

@@ -17,7 +17,8 @@ from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.scenarios.fitting import in_vehicle_units
+from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.identification import Log, command, files, identify
@@ -433,6 +434,8 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert "m11" in printed
     vehicle = as_vehicle("out/vehicle.toml")
     assert vehicle.m11 == pytest.approx(215, rel=0.05)
+    storm = changed(PRESETS["cruise-storm"], "out/vehicle.toml")
+    np.testing.assert_allclose(storm.sensors.noise, NOISE.noise, rtol=0.2)  # of the log, whatever the vehicle's size
     scenario = Scenario.load("out/scenario.toml")
     assert scenario.vehicle.m22 == pytest.approx(vehicle.m22, rel=1e-5)
     assert scenario.actuators.lag == pytest.approx(0.4, abs=0.05)
