@@ -77,14 +77,21 @@ def read_mission(file: str | FilePath) -> Mission:
         raise ValueError(f"mission {file} ends in {file.suffix!r}; it must end in {', '.join(SUFFIXES)}")
     content = file.read_bytes()
     with guarded(f"mission {file}"):
-        text = content.decode("utf-16" if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig")
+        utf16 = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        try:
+            text = content.decode("utf-16" if utf16 else "utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"it is no text in UTF-8 or UTF-16; save it as UTF-8 ({error})") from error
         if text.startswith("QGC WPL"):
             return _geographic(file.stem, *_of_waypoint_file(text))
         if file.suffix.lower() in (".waypoints", ".txt"):
             raise ValueError(f"its first line is {text.partition(chr(10))[0]!r}; it must begin with 'QGC WPL'")
         if file.suffix.lower() == ".csv":
             return _of_table(file.stem, text)
-        record = json.loads(text)
+        try:
+            record = json.loads(text)
+        except ValueError as error:
+            raise ValueError(f"it is not one object of JSON: {error}") from error
         if not isinstance(record, dict):
             raise ValueError("it is a list; it must be an object of GeoJSON or a plan of QGroundControl")
         return _geographic(file.stem, *(_of_plan(record) if "mission" in record else _of_geojson(record)))

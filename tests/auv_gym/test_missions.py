@@ -188,7 +188,12 @@ def test_what_a_file_has_beside_is_named(tmp_path):
         ("m.csv", "x,y\n1,2\n3\n", "'' in column y of line 3 is no number"),
         ("m.csv", "lat,lon\n91,2\n3,4\n", r"latitude of point 0 is 91.0; it must be in \[-90, 90\] degrees"),
         ("m.waypoints", "1 2 3\n", "its first line is '1 2 3'; it must begin with 'QGC WPL'"),
-        ("m.geojson", "{", "m.geojson: "),
+        ("m.geojson", "{", "m.geojson: it is not one object of JSON: "),
+        (
+            "m.csv",
+            "x,y\n0,0\n# Bucht von Kiel, 5 °\n".encode("latin-1"),
+            "no text in UTF-8 or UTF-16; save it as UTF-8",
+        ),
         ("m.geojson", '{"type": "Polygon", "coordinates": []}', "it has Polygon; it must have a LineString or Points"),
         ("m.plan", '{"mission": {"items": []}}', "it has 0 waypoints"),
     ],
