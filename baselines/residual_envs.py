@@ -100,14 +100,15 @@ def make_residual_policy(
 
     Args:
         network: gives the corrections, shape (N, 2), for a batch of observations of the residual environment, shape
-            (N, n): a function of the batch, or an object with the method predict of Stable-Baselines3.
+            (N, n): a function of the batch, a module of torch, or an object with the method predict of
+            Stable-Baselines3.
         expert: as in the residual environment.
         authority: as in the residual environment.
         vehicle: for which an expert is made by its name, see `make_policy`. None: the paper's.
 
     Raises:
         OSError: the expert's file cannot be read.
-        ValueError: vehicle, expert or authority is invalid.
+        ValueError: vehicle, expert, network or authority is invalid.
     """
     return CorrectedPolicy(_expert(expert, vehicle), network, authority)
 

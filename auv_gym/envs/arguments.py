@@ -16,7 +16,6 @@ from auv_gym.physics.namespaces import Indices
 from auv_gym.scenarios.episode import checked_mapping, checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.records import to_record
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleLike
 
@@ -59,7 +58,7 @@ def completed(spec: EnvSpec, steps: int) -> EnvSpec:
 
 def _recorded(given: Any) -> Any:
     if isinstance(given, Scenario):
-        return given.to_dict() | ({"model": to_record(given.model)} if given.model else {})
+        return given.record
     return [*map(_recorded, given)] if isinstance(given, (list, tuple)) else given
 
 

@@ -53,6 +53,8 @@ def changed(
     elif vehicle is not None:
         known = as_vehicle(vehicle)
         scenario = _integrable(scenario, vehicle=known, mismatch=scenario.mismatch and scenario.mismatch.cut(known))
+        if isinstance(vehicle, str):
+            scenario = replace(scenario, name=f"{scenario.name}@{vehicle}")
     if control_dt is not None:
         check_number("control_dt", control_dt, 1e-3, min(10.0, scenario.duration))
         steps = round(scenario.duration / control_dt)

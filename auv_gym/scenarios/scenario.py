@@ -347,13 +347,21 @@ class Scenario:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scenario as plain dicts, lists, numbers and strings, without fields that have their default."""
+        """Return the scenario as plain dicts, lists, numbers and strings, without fields that have their default.
+
+        It has no model of the vehicle, whose numbers are those of the vehicle and the actuators.
+        """
         record = to_record(self)
         if not isinstance(self.path, RandomPath):
             record["path"] = path_record(self.path)
         if self.effects:
             record["effects"] = {one.name: to_record(one) for one in self.effects}
         return {"name": self.name, **record}
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The same with the model of the vehicle, which policies get."""
+        return self.to_dict() | ({"model": to_record(self.model)} if self.model else {})
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
@@ -369,11 +377,11 @@ class Scenario:
         """Write the scenario to a .json or .toml file."""
         file = FilePath(file)
         if checked_suffix(file) == ".json":
-            text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+            text = json.dumps(self.record, indent=2, allow_nan=False) + "\n"
         else:
             import tomli_w
 
-            text = tomli_w.dumps(self.to_dict())
+            text = tomli_w.dumps(self.record)
         file.write_text(text, encoding="utf-8")
 
     @classmethod
@@ -411,9 +419,15 @@ def _model_from(record: Any) -> VehicleModel | None:
 def effects_from(record: Any) -> tuple[Effect, ...]:
     """Return the effects of a table with a table for each; none for an empty list.
 
+    In a list, as in the JSON of a spec that Gymnasium makes, the names of its entries tell an effect.
+
     Raises:
         ValueError: a name is unknown, since reading a scenario never imports code, or an entry is unknown or wrong.
     """
+    if isinstance(record, (list, tuple)) and all(isinstance(one, Mapping) for one in record):
+        found = [[name for name, cls in EFFECTS.items() if {*cls.entries} == {*one}] for one in record]
+        if all(len(names) == 1 for names in found):
+            record = {names[0]: one for names, one in zip(found, record, strict=True)}
     if not isinstance(record := record or {}, Mapping):
         raise ValueError(f"scenario effects is {record!r}; it must be a table with a table for each effect")
     if unknown := [name for name in record if name not in EFFECTS]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,16 +20,22 @@ class CorrectedPolicy(Batched):
 
     Args:
         expert: the policy that is corrected.
-        network: a policy, or a function of a batch, of the observations of the residual environment, shape (N, n).
+        network: a policy, a module of torch, or a function of a batch, of the observations of the residual environment,
+            shape (N, n).
         authority: largest corrections.
 
     Raises:
-        ValueError: an authority is not in (0, 2].
+        ValueError: an authority is not in (0, 2], or the network cannot be called.
     """
 
     def __init__(
         self, expert: Policy, network: Policy | Callable[[Any], Any], authority: float | Sequence[float]
     ) -> None:
+        if isinstance(network, type) or not (callable(network) or hasattr(network, "predict")):
+            raise ValueError(
+                f"network is {network!r}; it must be a function of a batch of observations, a module of torch, or an "
+                "object with the method predict"
+            )
         self.expert, self.network, self.authority = expert, network, np.array(checked_authority(authority))
         self.preview, self.remembers = preview_of(expert), getattr(expert, "remembers", False)
         self._split = 0  # number of arrays of the expert's memory
@@ -43,7 +50,19 @@ class CorrectedPolicy(Batched):
         network: Any = self.network
         if hasattr(network, "predict"):
             correction, own = network.predict(seen, own, episode_start, deterministic)
+        elif hasattr(network, "state_dict"):
+            correction = _of_module(network, seen)
         else:
             correction = network(seen)
+        if hasattr(correction, "detach"):
+            correction = correction.detach().cpu().numpy()
         action = corrected(base, self.authority, checked_actions(correction, len(rows)), ARRAYS)
         return action.astype(np.float32), (*(before or ()), *(own or ())) or None
+
+
+def _of_module(module: Any, seen: NDArray[Any]) -> Any:
+    """Return the output of a module of torch, in the precision of its weights."""
+    torch = importlib.import_module("torch")
+    weights = next(module.parameters(), torch.zeros(1))
+    with torch.no_grad():
+        return module(torch.as_tensor(seen, dtype=weights.dtype, device=weights.device))

@@ -96,7 +96,8 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
         raise ValueError(f"{file} has no function or class {factory!r}")
     known = vehicle.vehicle if isinstance(vehicle, VehicleModel) else vehicle
     with _users_code(f"{factory} of {file} fails"):
-        policy: Policy = make(**{**vehicle_option(make, known), **options})
+        known_options = vehicle_option(make, known) | vehicle_option(make, vehicle, "vehicle_model")
+        policy: Policy = make(**{**known_options, **options})
     if not callable(getattr(policy, "predict", None)):
         raise ValueError(f"{factory} of {file} returns a {type(policy).__name__}, which has no method predict")
     return policy

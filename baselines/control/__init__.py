@@ -111,10 +111,10 @@ def make_controller(name: str, vehicle: VehicleLike | None = None, **options: An
         raise ValueError(f"policy {name!r} does not take these options: {error}") from error
 
 
-def vehicle_option(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
-    """Return the option `vehicle` of a factory; empty if the vehicle is None or the factory has no such argument."""
+def vehicle_option(factory: Callable[..., Any], vehicle: Any, name: str = "vehicle") -> dict[str, Any]:
+    """Return the option `name` of a factory; empty if the vehicle is None or the factory has no such argument."""
     try:
-        accepted = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
+        accepted = vehicle is not None and name in inspect.signature(factory).parameters
     except (TypeError, ValueError):  # the factory has no signature
         accepted = False
-    return {"vehicle": vehicle} if accepted else {}
+    return {name: vehicle} if accepted else {}

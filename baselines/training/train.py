@@ -144,7 +144,7 @@ def _lines(config: Config, label: str = "") -> Show:
     return show
 
 
-def learning_curves(runs: Mapping[str, Path]) -> bytes:
+def learning_curves(runs: Mapping[str, str | Path]) -> bytes:
     """Return a PNG image of the score on the validation episodes over control steps and over wall time.
 
     A run with several seeds is a line of their mean, with a band from the worst to the best at that time.
@@ -156,6 +156,8 @@ def learning_curves(runs: Mapping[str, Path]) -> bytes:
         OSError: a file cannot be read.
         ValueError: a file is damaged, or a folder holds no validated run.
     """
+    if not isinstance(runs, Mapping) or not runs:
+        raise ValueError(f"runs is {runs!r}; it must be a dict of folders by their names in the legend")
     figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
     axes[0].set_ylabel("score (0: expert, 1: no error)")
     with styled():
@@ -164,7 +166,7 @@ def learning_curves(runs: Mapping[str, Path]) -> bytes:
         ):
             ax.set_xlabel(label)
             ax.axhline(0.0, **REFERENCE_STYLE)
-            for i, (name, folder) in enumerate(runs.items()):
+            for i, (name, folder) in enumerate((name, Path(folder)) for name, folder in runs.items()):
                 seeds = [read_progress(seed) for seed in (folder, *sorted(folder.glob("seed-*")))]
                 points = [
                     np.array([(r[key] / unit, r["score"]) for r in rows if "score" in r]) for rows in seeds if rows

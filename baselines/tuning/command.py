@@ -85,6 +85,10 @@ def main(arguments: Sequence[str]) -> int:
     start = checked(partial(_start, options, tunable.names, in_paper_units))
     # refused if the vehicle's fins have no effect at such a low speed
     checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
+    name = Path(options.name.replace(".py:", "-")).name
+    file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
+    if file.exists() and checked(partial(read_json, file)).get("controller") != options.name:
+        raise UsageError(f"{file} is the result of another controller of this name; rename one of the two files")
     factory = partial(tunable.factory, vehicle=in_paper_units.vehicle)
     checked(partial(factory, dict(start)))
 
@@ -114,9 +118,7 @@ def main(arguments: Sequence[str]) -> int:
         tuned = recorded_gains()["tuned"].get(options.name, {})
         write_gains("tuned", options.name, {**tuned, options.speed_range: record})
     elif not options.dry_run:
-        name = Path(options.name.replace(".py:", "-")).name
-        file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
-        write_atomically(file, json.dumps(record, indent=2) + "\n")
+        write_atomically(file, json.dumps({"controller": options.name, **record}, indent=2) + "\n")
         print(f"written: {file}")
     return DONE
 

@@ -100,6 +100,7 @@ def test_what_simulators_leave_out_is_answered_with_what_to_do():
 def test_the_vehicle_with_quadratic_drag_can_be_named_and_planned_for():
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", vehicle="paper-2007")
     env.reset(seed=0)
+    assert env.unwrapped.scenario.name == "cruise-storm@paper-2007"
     vehicle = env.unwrapped.scenario.vehicle
     assert (vehicle.X_uu, vehicle.Y_vv, vehicle.N_rr) == RandomMismatch().quadratic_drag
     assert vehicle.coefficients[:6] == PAPER_VEHICLE.coefficients[:6]

@@ -213,6 +213,9 @@ def test_seeds_differ_and_each_has_a_folder(call, capsys):
     both = learning_curves({"both": Path("out"), "one": Path("out/seed-3")})
     assert both.startswith(b"\x89PNG")
     assert both != learning_curves({"both": Path("out")})
+    assert both == learning_curves({"both": "out", "one": "out/seed-3"})
+    with pytest.raises(ValueError, match="it must be a dict of folders"):
+        learning_curves({})
     with pytest.raises(ValueError, match="elsewhere holds no run that was validated"):
         learning_curves({"none": Path("elsewhere")})
     assert not same(weights("out/seed-3/agent"), weights("out/seed-4/agent"))

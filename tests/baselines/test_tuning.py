@@ -174,6 +174,10 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     assert record["start"] == {"k": 60, "d": 150}
     assert record["gains"] != record["start"]
     assert recorded_gains() == before
+    Path("other").mkdir()
+    Path("other/hand.py").write_text(Path("hand.py").read_text())
+    with pytest.raises(UsageError, match="is the result of another controller of this name; rename one of the two"):
+        main(["other/hand.py:HandPoint", *arguments[1:]])
     assert make_policy("hand.py:HandPoint", **record["gains"]).k == record["gains"]["k"]
     Path("start.json").write_text('{"gains": {"K": 60}}')
     with pytest.raises(UsageError, match=r"HandPoint of hand.py fails: .*unexpected keyword argument 'K'"):

@@ -16,6 +16,7 @@ from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import VEHICLES_FOLDER
 from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
@@ -435,3 +436,34 @@ def test_a_zero_correction_is_the_controller_for_a_vehicle_from_a_file(expert, t
         action, memory = policy.predict(shown, memory, first)
         np.testing.assert_array_equal(seen[:, -2:], action)
         seen, shown, first = residual.step(np.zeros((2, 2)))[0], plain.step(action)[0], np.zeros(2, dtype=bool)
+
+
+def test_a_factory_can_get_the_actuators_of_the_vehicle(tmp_path):
+    """By the argument `vehicle_model`; also from a scenario that was saved with its vehicle's model."""
+    text = (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace("F_u_max = 14.4", "F_u_max = 7.0")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    code = "def make(vehicle_model=None):\n    return make_policy('los-pid', vehicle_model)\n"
+    (tmp_path / "own.py").write_text(f"from baselines import make_policy\n{code}", encoding="utf-8")
+    scenario = changed(replace(PRESETS["cruise-storm"], start=Start()), str(tmp_path / "mine.toml"))
+    scenario.save(tmp_path / "saved.toml")
+    again = Scenario.load(tmp_path / "saved.toml")
+    assert again.known == scenario.known != scenario.vehicle
+    observation = UnderactuatedAUVTrackVectorEnv(2, scenario).reset(seed=1)[0]
+    wanted = make_policy("los-pid", scenario.known).predict(observation)[0]
+    for policy in (make_policy(f"{tmp_path / 'own.py'}:make", again.known), make_policy("los-pid", again.known)):
+        np.testing.assert_array_equal(policy.predict(observation)[0], wanted)
+    assert (make_policy("los-pid", scenario.vehicle).predict(observation)[0] != wanted).any()
+
+
+def test_a_module_of_torch_is_a_network_and_a_class_is_none():
+    torch = pytest.importorskip("torch")
+    module, rows = torch.nn.Linear(20, 2), np.random.default_rng(0).uniform(0.1, 0.5, (3, 18))
+    weights, bias = (p.detach().numpy() for p in module.parameters())
+    by_hand = make_residual_policy(lambda seen: seen @ weights.T + bias)
+    for network in (module, lambda seen: module(torch.as_tensor(seen, dtype=torch.float32))):
+        np.testing.assert_allclose(
+            make_residual_policy(network).predict(rows)[0], by_hand.predict(rows)[0], rtol=1e-5, atol=1e-6
+        )
+    for network in (None, torch.nn.Linear, "agent"):
+        with pytest.raises(ValueError, match="it must be a function of a batch of observations, a module of torch"):
+            make_residual_policy(network)
