@@ -150,8 +150,8 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     for scenario in map(checked_scenario, options.scenario or DRAWN_SUITES[suite or ""]):
         if scenarios.setdefault(scenario.name, scenario) != scenario:
             raise UsageError(
-                f"two different scenarios are called {scenario.name!r}; rename one of them, in its file or in that of its "
-                "vehicle"
+                f"two different scenarios are called {scenario.name!r}; rename one of them, in its file or "
+                "in that of its vehicle"
             )
     count = DEFAULT_EPISODES if options.episodes is None else options.episodes
     cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios.values())
