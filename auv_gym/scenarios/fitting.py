@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import NOISES
@@ -56,6 +58,7 @@ def changed(
         if isinstance(vehicle, str):
             scenario = replace(scenario, name=f"{scenario.name}@{vehicle}")
     if control_dt is not None:
+        control_dt = control_dt.item() if isinstance(control_dt, np.generic) else control_dt
         check_number("control_dt", control_dt, 1e-3, min(10.0, scenario.duration))
         steps = round(scenario.duration / control_dt)
         scenario = _integrable(scenario, control_dt=float(control_dt), steps=steps)

@@ -10,6 +10,7 @@ import numpy as np
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy
 from baselines.evaluation.rollout import PolicyError
+from baselines.policy import Privileged
 
 _VEHICLES, _STEPS = 3, 40
 
@@ -24,8 +25,9 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
         scenario: the scenario whose observations it gets, shape (3, 18) each, more with the policy's `preview`.
 
     Raises:
-        PolicyError: it is a class; an action is not of shape (N, 2) or (2,), not finite or outside [-1, 1]; the action
-            of a vehicle depends on the others, on the call before, or after `episode_start` on the episode before.
+        PolicyError: it is a class or uses more than the observation; an action is not of shape (N, 2) or (2,), not
+            finite or outside [-1, 1]; the action of a vehicle depends on the others, on the call before, or after
+            `episode_start` on the episode before.
     """
     env = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
@@ -60,6 +62,8 @@ def _called(policy: Policy, observation: Any, memory: Any, first: Any) -> tuple[
     """Return the action and the memory of a policy; raise PolicyError if they are not those of one."""
     if isinstance(policy, type):
         raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
+    if isinstance(policy, Privileged):
+        raise PolicyError("the policy uses more than the observation; only others can be checked")
     if not callable(getattr(policy, "predict", None)):
         raise PolicyError(f"a {type(policy).__name__} has no method predict")
     try:

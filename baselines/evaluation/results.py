@@ -76,7 +76,8 @@ class ResultFile:
             OSError: it cannot be read.
             ValueError: it is damaged, or of another version.
         """
-        with guarded(f"{file} is no file of results"):
+        hint = "; results.npz beside it is one" if file.name in ("results.json", "results.csv") else ""
+        with guarded(f"{file} is no file of results{hint}"):
             data = io.BytesIO(read_bytes(file))
             if sum(entry.file_size for entry in zipfile.ZipFile(data).infolist()) > _LARGEST:
                 raise ValueError(f"it is larger than {_LARGEST} bytes unpacked")

@@ -10,8 +10,10 @@ import baselines
 from auv_gym import PRESETS, Scenario
 from auv_gym.effects.sensors import Sensors
 from auv_gym.planning.paths import Spline
+from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.policy import checked_authority
 from auv_gym.task.preview import checked_preview
 
 PERIODS = (1, 5, 40)
@@ -80,6 +82,8 @@ def test_numbers_of_numpy_are_numbers():
     assert (scenario.steps, type(scenario.control_dt)) == (1200, float)
     residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", authority=np.array([0.2, 0.3]))
     assert residual.authority == (0.2, 0.3)
+    assert checked_authority(np.int64(1)) == checked_authority(np.array([1, 1])) == (1.0, 1.0)
+    assert changed(PRESETS["cruise-calm"], control_dt=np.int64(1)).control_dt == 1.0
     assert checked_preview((np.int64(3), 4)) == (3, 4)
     record = Scenario(error_scale=np.float32(0.25), sensors=Sensors(position=(np.float32(0.5), 1.0))).to_dict()
     text = json.dumps({name: record[name] for name in ("sensors", "error_scale")})

@@ -280,6 +280,8 @@ def test_the_check_of_a_policy():
         check_policy({})
     with pytest.raises(PolicyError, match=r"Summing is a class; give an object, Summing\(\)"):
         check_policy(Summing)
+    with pytest.raises(PolicyError, match="uses more than the observation; only others can be checked"):
+        check_policy(make_policy("oracle"))
 
 
 def test_all_seeds_of_a_training_are_evaluated_together(tmp_path, monkeypatch, capsys):
