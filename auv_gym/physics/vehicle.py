@@ -178,8 +178,8 @@ class Vehicle:
             raise ValueError(
                 f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg; with Y_ur = {self.Y_ur!r} kg it must be at "
                 f"least {MIN_MASS_RATIO} m11 and {MIN_MASS_RATIO} (m11 - Y_ur). A slender vehicle has more added mass "
-                "in sway than in surge, and only then the plan is stable. Simulators that leave added mass out, "
-                "such as Gazebo by default, give m11 = m22: add it, for a slender hull about 0.9 times the mass in sway"
+                "in sway than in surge, and only then the plan is stable. Simulators that leave added mass out, such "
+                "as Gazebo by default, give m11 = m22: add it, for a slender vehicle about 0.9 times the mass in sway"
             )
         check_number("vehicle speed", self.speed, *_SPEEDS)
         if self.has_cross_terms:

@@ -21,7 +21,15 @@ from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import PAPER, PAPER_LAG, VehicleLike, VehicleModel, as_vehicle, as_vehicle_model
+from auv_gym.scenarios.vehicles import (
+    PAPER,
+    PAPER_LAG,
+    PAPER_TURN_RATE,
+    VehicleLike,
+    VehicleModel,
+    as_vehicle,
+    as_vehicle_model,
+)
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
@@ -95,7 +103,9 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
         given = {name: getattr(own, name) for name in NOISES if getattr(scenario.sensors, name)}
         changes["sensors"] = replace(changes["sensors"], **{name: x for name, x in given.items() if x is not None})
     if not isinstance(path, Path):
-        turn_rate = units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / 0.12
+        turn_rate = (
+            units.factor(time=-1) if vehicle_model.turn_rate is None else vehicle_model.turn_rate / PAPER_TURN_RATE
+        )
         changes["path"] = path = replace(path, turn_rate=path.turn_rate * turn_rate)
         low = path.speed[0] if isinstance(path.speed, tuple) else path.speed
         if low < vehicle_model.slowest * (1 - 1e-9):

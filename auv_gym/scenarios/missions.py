@@ -19,14 +19,12 @@ from typing import Any
 import numpy as np
 
 from auv_gym.effects.current import RandomCurrent
-from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Legs, from_geographic
 from auv_gym.planning.paths.waypoints import WaypointWarning
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.records import guarded
-from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import PAPER as PAPER_MODEL
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle_model
+from auv_gym.scenarios.scenario import MOST_STEPS, Scenario
+from auv_gym.scenarios.vehicles import PAPER, PAPER_TURN_RATE, VehicleModel, as_vehicle_model
 
 SUFFIXES = ".csv", ".geojson", ".json", ".plan", ".waypoints", ".txt"
 """Files of missions: columns x, y or lat, lon; GeoJSON; plans and waypoint files of QGroundControl, also as .txt."""
@@ -47,9 +45,6 @@ _UNITS = {"x": _LENGTHS, "y": _LENGTHS, "lat": _ANGLES, "lon": _ANGLES, "speed":
 _WAYPOINT, _SPLINE, _SPEED = 16, 82, 178  # of MAVLink: NAV_WAYPOINT, NAV_SPLINE_WAYPOINT, DO_CHANGE_SPEED
 _IN_PLACE = (112, 113, 114, 115, 177, 194)
 """Commands of MAVLink that change the motion, beside those up to 95: conditions, DO_JUMP, DO_SET_REVERSE."""
-_TURN_RATE = 0.12
-"""Turn rate [rad/s] of a vehicle that has none of its own, for the paper's vehicle."""
-_LONGEST = 10**6  # control steps of an episode
 
 _Places = tuple[list[float], list[float], list[float]]
 """Latitudes, longitudes [deg], and speeds [m/s] on the way to the next one, nan where there is none."""
@@ -116,22 +111,21 @@ def mission_scenario(
     Raises:
         ValueError: the vehicle is unknown, a number is out of range, or a corner does not fit on its legs.
     """
-    model = as_vehicle_model(vehicle) or PAPER_MODEL
-    usual = model.vehicle.speed if vehicle is not None else PAPER_VEHICLE.speed
-    speed = usual if speed is None else speed
+    model = as_vehicle_model(vehicle) or PAPER
+    speed = model.vehicle.speed if speed is None else speed
     speeds = tuple(speed if math.isnan(one) else one for one in mission.speeds)
     if radius is None:
-        turn_rate = model.turn_rate or _TURN_RATE * PAPER_VEHICLE.time / model.vehicle.time
+        turn_rate = model.turn_rate or PAPER_TURN_RATE * PAPER.vehicle.time / model.vehicle.time
         radius = max(speeds or (speed,)) / turn_rate
     path = Legs(mission.points, speed, radius, speeds)
     V_x, V_y = map(float, current)
     flow = RandomCurrent(speed=math.hypot(V_x, V_y), direction=math.atan2(V_y, V_x), relative=False)
     scenario = Scenario(mission.name, path, steps=1, current=flow if V_x or V_y else None)
     scenario = replace(changed(scenario, vehicle), name=mission.name)
-    if (steps := max(1, int(path.end / scenario.control_dt))) > _LONGEST:
+    if (steps := max(1, int(path.end / scenario.control_dt))) > MOST_STEPS:
         longest = np.hypot(*np.diff(path.waypoints, axis=0).T)
         raise ValueError(
-            f"the mission takes {path.end:.3g} s, {steps} control steps, and an episode has at most {_LONGEST}; leg "
+            f"the mission takes {path.end:.3g} s, {steps} control steps, and an episode has at most {MOST_STEPS}; leg "
             f"{np.argmax(longest)} is {longest.max() / 1000:.4g} km long: are order, sign and unit of the coordinates "
             "right?"
         )
@@ -252,10 +246,10 @@ def _of_items(items: Sequence[tuple[int, Sequence[float]]]) -> _Places:
             lat.append(params[4])
             lon.append(params[5])
             speeds.append(speed)  # it holds from its command on, on the way to this waypoint
-        if ((command <= 95 or command in _IN_PLACE) and command != _WAYPOINT) or (
-            command == _WAYPOINT and params[0] > 0
-        ):
-            others.append(f"{command}{' with a hold time' if command == _WAYPOINT else ''} in item {k}")
+        if command == _WAYPOINT:
+            others += [f"{command} with a hold time in item {k}"] if params[0] > 0 else []
+        elif command <= 95 or command in _IN_PLACE:
+            others.append(f"{command} in item {k}")
     if others:
         _note(
             f"commands of MAVLink that are not followed: {', '.join(others)}; waypoints ({_WAYPOINT}, {_SPLINE}) are "

@@ -40,6 +40,7 @@ DRAWS = 96
 """Number of uniform numbers that are reserved for the parameters of one episode."""
 _USUAL = {term.name: term.bound * term.scale for term in TERMS}
 """Usual bound of each term of an observation, in SI units, see `task.bounds`."""
+MOST_STEPS = 10**6  # control steps of an episode
 ATTEMPTS = 20
 """Largest number of draws until an episode has a feasible path."""
 
@@ -148,7 +149,7 @@ class Scenario:
             )
         if len({one.name for one in self.effects}) < len(self.effects):
             raise ValueError("scenario effects has two of one name; give each effect once")
-        for name, high in (("steps", 10**6), ("substeps", 1000)):
+        for name, high in (("steps", MOST_STEPS), ("substeps", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")

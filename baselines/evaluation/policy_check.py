@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.policy import Policy
+from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.rollout import PolicyError
 from baselines.policy import Privileged
 
@@ -29,12 +29,18 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
             finite or outside [-1, 1]; the action of a vehicle depends on the others, on the call before, or after
             `episode_start` on the episode before.
     """
+    if isinstance(policy, type):
+        raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
+    if isinstance(policy, Privileged):
+        raise PolicyError("the policy uses more than the observation; only others can be checked")
+    if not callable(getattr(policy, "predict", None)):
+        raise PolicyError(f"a {type(policy).__name__} has no method predict")
     env = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
         _VEHICLES,
         vectorization_mode="vector_entry_point",
         scenario=scenario,
-        preview=getattr(policy, "preview", ()),
+        preview=preview_of(policy),
     )
     observation, _ = env.reset(seed=0)
     memory, seen, actions = None, [], []
@@ -60,12 +66,6 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
 
 def _called(policy: Policy, observation: Any, memory: Any, first: Any) -> tuple[Any, Any]:
     """Return the action and the memory of a policy; raise PolicyError if they are not those of one."""
-    if isinstance(policy, type):
-        raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
-    if isinstance(policy, Privileged):
-        raise PolicyError("the policy uses more than the observation; only others can be checked")
-    if not callable(getattr(policy, "predict", None)):
-        raise PolicyError(f"a {type(policy).__name__} has no method predict")
     try:
         action, memory = policy.predict(observation.copy(), memory, first, True)
     except (TypeError, ValueError) as error:

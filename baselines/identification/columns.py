@@ -19,7 +19,8 @@ import numpy as np
 
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.intervals import check_number
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.namespaces import Array, Indices
+from auv_gym.planning.paths.waypoints import EQUATOR, FLATTENING
 from auv_gym.scenarios.records import from_record, read_table
 from baselines.tools.files import read_bytes
 
@@ -63,7 +64,6 @@ _DAY = 86400.0  # [s]
 _RESET = 10  # multiple of the usual step by which time goes back where a run begins
 _NEAR = 0.2  # share of the usual time between two values within which rows are one
 _SAME = 10  # fewest changes of values that are held for rows
-_EQUATOR, _FLATTENING = 6378137.0, 1 / 298.257223563  # [m] WGS 84
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,12 @@ def repeated(values: Array) -> int:
         return 1
     lengths = np.diff(changes)
     usual = int(np.median(lengths))
-    return usual if usual > 1 and np.mean(np.abs(lengths - usual) < 0.35 * usual) > 0.8 else 1
+    return usual if usual > 1 and regular(lengths, usual) else 1
+
+
+def regular(lengths: Array | Indices, usual: float) -> bool:
+    """Return whether most lengths are near the usual one, as those between fixes are."""
+    return bool(np.mean(np.abs(lengths - usual) < 0.35 * usual) > 0.8)
 
 
 def _in_standard_axes(columns: Mapping[str, Array], form: Format) -> dict[str, Array]:
@@ -430,9 +435,9 @@ def _on_plane(latitude: Array, longitude: Array) -> tuple[Array, Array]:
     if not (known := np.isfinite(latitude)).any():
         return latitude, longitude
     first = int(np.argmax(known))
-    squared = _FLATTENING * (2 - _FLATTENING)  # squared eccentricity
+    squared = FLATTENING * (2 - FLATTENING)  # squared eccentricity
     root = math.sqrt(1 - squared * math.sin(latitude[first]) ** 2)
-    north, east = _EQUATOR * (1 - squared) / root**3, _EQUATOR / root * math.cos(latitude[first])
+    north, east = EQUATOR * (1 - squared) / root**3, EQUATOR / root * math.cos(latitude[first])
     around = np.remainder(longitude - longitude[first] + math.pi, 2 * math.pi) - math.pi
     return north * (latitude - latitude[first]), east * around
 

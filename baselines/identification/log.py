@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.scenarios.records import guarded
 from baselines.identification.axes import ContradictionError, check_commands, check_motion
-from baselines.identification.columns import QUANTITIES, Format, Table, repeated
+from baselines.identification.columns import QUANTITIES, Format, Table, regular, repeated
 
 MEASURED_COLUMNS = ("x", "y", "psi", "u", "v", "r")
 """Columns of the measurements: position, heading, velocities in the body frame."""
@@ -89,11 +89,11 @@ class Log:
         if np.ptp(self.commands) < _MIN_MOTION:
             name, value = CONTROLS[self.kind][0], self.commands[0, 0]
             raise ValueError(f"{name} is {value:g} throughout; the commands must change during the log")
+        noise = rough_noise(self)
         if self.kind == "force" and not self.commands[:, 1].any():
             _, _, psi, _, _, r = self.measured.T
-            if r.std() > 3 * rough_noise(self)[5] + 1e-9 and np.ptp(np.unwrap(psi)) > 0.5:
+            if r.std() > 3 * noise[5] + 1e-9 and np.ptp(np.unwrap(psi)) > 0.5:
                 raise ValueError("F_r is 0 throughout, but the vehicle turns: log the commanded yaw moments")
-        noise = rough_noise(self)
         for run in self.runs:
             check_motion(self.t[run], self.measured[run], noise)
             check_commands(self.t[run], self.commands[run], self.measured[run], CONTROLS[self.kind])
@@ -280,7 +280,7 @@ def _knots(values: Array) -> NDArray[np.bool_] | None:
     every = np.diff(np.flatnonzero(bent))
     if (usual < 20 * least).any() or len(every) < 10 or (often := float(np.median(every))) < 2:
         return None
-    return np.concatenate(([True], bent, [True])) if np.mean(np.abs(every - often) < 0.35 * often) > 0.8 else None
+    return np.concatenate(([True], bent, [True])) if regular(every, often) else None
 
 
 def _outliers(values: Array, reach: float) -> NDArray[np.bool_]:
@@ -304,14 +304,14 @@ def _outliers(values: Array, reach: float) -> NDArray[np.bool_]:
 def _frozen(values: Array) -> NDArray[np.bool_]:
     """Return the rows of noisy values (T, n) that repeat the row before for long; a speed of 0 may be one at rest."""
     steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
+    if len(values) < _MIN_ROWS or not (np.median(bends, axis=0) > 0.5 * np.median(steps, axis=0)).all():
+        return np.zeros(len(values), dtype=bool)
     same = np.append(False, (steps == 0).all(axis=1))
-    noisy = len(values) >= _MIN_ROWS and (np.median(bends, axis=0) > 0.5 * np.median(steps, axis=0)).all()
     begins = np.flatnonzero(~same)
     lengths = np.diff(np.append(begins, len(same)))
-    long = (lengths > _FROZEN) & values[begins].any(axis=1)
-    return (
-        same & np.repeat(long, lengths) if noisy and np.mean(same[np.repeat(~long, lengths)]) < _OFTEN else same & False
-    )
+    long = np.repeat((lengths > _FROZEN) & values[begins].any(axis=1), lengths)
+    coarse = np.mean(same[~long]) >= _OFTEN
+    return np.asarray(same & long & ~coarse)
 
 
 def _resolution(values: Array) -> float:
@@ -382,11 +382,11 @@ def rough_noise(log: Log) -> Array:
     measured = unwrapped(log)
     noise = np.zeros(6)
     for j in range(6):
-        bends = np.concatenate([np.diff(measured[log.counted(run, j), j], 2) for run in log.runs])
+        parts = [measured[log.counted(run, j), j] for run in log.runs]
+        bends = np.concatenate([np.diff(part, 2) for part in parts])
         if len(bends):
             usual = 1.4826 * np.median(np.abs(bends - np.median(bends))) / math.sqrt(6)
-            seen = np.concatenate([measured[log.counted(run, j), j] for run in log.runs])
-            noise[j] = max(usual, _resolution(seen) / math.sqrt(12))  # of rounding
+            noise[j] = max(usual, _resolution(np.concatenate(parts)) / math.sqrt(12))  # of rounding
     return np.asarray(np.maximum(noise, least_noise(log)))
 
 

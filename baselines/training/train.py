@@ -158,6 +158,7 @@ def learning_curves(runs: Mapping[str, str | Path]) -> bytes:
     """
     if not isinstance(runs, Mapping) or not runs:
         raise ValueError(f"runs is {runs!r}; it must be a dict of folders by their names in the legend")
+    validated = [_validated(Path(folder)) for folder in runs.values()]
     figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
     axes[0].set_ylabel("score (0: expert, 1: no error)")
     with styled():
@@ -166,13 +167,8 @@ def learning_curves(runs: Mapping[str, str | Path]) -> bytes:
         ):
             ax.set_xlabel(label)
             ax.axhline(0.0, **REFERENCE_STYLE)
-            for i, (name, folder) in enumerate((name, Path(folder)) for name, folder in runs.items()):
-                seeds = [read_progress(seed) for seed in (folder, *sorted(folder.glob("seed-*")))]
-                points = [
-                    np.array([(r[key] / unit, r["score"]) for r in rows if "score" in r]) for rows in seeds if rows
-                ]
-                if not points or min(map(len, points)) == 0:
-                    raise ValueError(f"{folder} holds no run that was validated")
+            for i, (name, seeds) in enumerate(zip(runs, validated, strict=True)):
+                points = [np.array([(row[key] / unit, row["score"]) for row in rows]) for rows in seeds]
                 times = points[0][: min(map(len, points)), 0]
                 scores = np.array([np.interp(times, *one.T) for one in points])
                 colour = COLOURS[i % len(COLOURS)]
@@ -182,3 +178,12 @@ def learning_curves(runs: Mapping[str, str | Path]) -> bytes:
         if len(runs) > 1:
             axes[0].legend()
     return to_png(figure)
+
+
+def _validated(folder: Path) -> list[list[dict[str, float]]]:
+    """Return the rows with a score of a run, or of each seed of a run; raise ValueError if there are none."""
+    every = (read_progress(seed) for seed in (folder, *sorted(folder.glob("seed-*"))))
+    seeds = [[row for row in rows if "score" in row] for rows in every if rows]
+    if not seeds or not all(seeds):
+        raise ValueError(f"{folder} holds no run that was validated")
+    return seeds

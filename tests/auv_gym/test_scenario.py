@@ -149,14 +149,14 @@ def test_changed_chooses_the_substeps_that_a_period_or_a_vehicle_needs():
 
 def test_the_mismatch_is_cut_to_what_a_hardly_slender_vehicle_allows():
     """With m22/m11 = 1.038, as of a BlueROV2 Heavy, all true vehicles stay slender."""
-    hull = replace(PAPER_VEHICLE, m22=1.038 * PAPER_VEHICLE.m11)
+    stout = replace(PAPER_VEHICLE, m22=1.038 * PAPER_VEHICLE.m11)
     for name in ("cruise-storm", "slow-mismatch"):
-        scenario = changed(PRESETS[name], hull)
+        scenario = changed(PRESETS[name], stout)
         drawn = [scenario.draw(np.random.default_rng(seed)).vehicle for seed in range(200)]
         assert min(one.m22 / one.m11 for one in drawn) >= 1.01
         assert max(one.m22 / one.m11 for one in drawn) > 1.02
     with pytest.raises(ValueError, match=r"since the vehicle has m22/m11 = 1\.038"):
-        Scenario(vehicle=hull, mismatch=PRESETS["cruise-storm"].mismatch, substeps=20)
+        Scenario(vehicle=stout, mismatch=PRESETS["cruise-storm"].mismatch, substeps=20)
 
 
 def test_changed_keeps_the_duration():

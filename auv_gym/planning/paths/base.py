@@ -49,6 +49,18 @@ class Path(Protocol):
         """
 
 
+_ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
+
+
+def checked_times(path: Path, t: Array) -> Array:
+    """Return times [s] as an array; raise ValueError if one is outside the domain of a path from 0 to `end`."""
+    t = np.asarray(t, dtype=np.float64)
+    if not np.all((t >= -_ROUNDING) & (t <= path.end + _ROUNDING)):
+        name = type(path).__name__
+        raise ValueError(f"{name}: times must be in 0 ... {path.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+    return t
+
+
 def is_number(value: Any, kind: str) -> bool:
     """Return whether all entries are finite numbers, and also "positive" or "not zero" if `kind` is one of these."""
     if type(value) is float:  # the most frequent case, in a hundredth of the time

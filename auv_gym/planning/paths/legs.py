@@ -12,10 +12,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from auv_gym.physics.namespaces import Array, Indices
-from auv_gym.planning.paths.base import is_number
+from auv_gym.planning.paths.base import checked_times, is_number
 from auv_gym.planning.paths.waypoints import checked_waypoints
 
-_ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 _NODES, _WEIGHTS = 0.5 * leggauss(24)[0] + 0.5, 0.5 * leggauss(24)[1]  # Gauss-Legendre on [0, 1]
 _PEAK = 15 / 8  # largest slope of the step S
 _SWING = _PEAK * math.sqrt(math.pi / 2)
@@ -76,7 +75,7 @@ class Legs:
     @property
     def arrivals(self) -> Array:
         """Times at the waypoints [s]: at the ends of an open path, and in the middle of each corner."""
-        corners = np.flatnonzero(self._is_corner)
+        corners = np.arange(1, len(self._segments.length), 2)
         middle = self._times[corners] + np.array([self._time_in(k, 0.5) for k in corners.tolist()])
         return middle if self.closed else np.concatenate(([0.0], middle, [self.end]))
 
@@ -84,11 +83,6 @@ class Legs:
     def _origin(self) -> Array:
         """The first waypoint [m]; positions are computed from there, since coordinates can be millions of metres."""
         return np.array(self.waypoints[0])
-
-    @cached_property
-    def _is_corner(self) -> Any:
-        count = len(self._segments.length)
-        return np.arange(count) % 2 == 1
 
     @cached_property
     def _segments(self) -> _Segments:
@@ -105,27 +99,25 @@ class Legs:
         bends = np.maximum(_PEAK * np.abs(turns), _SWING * np.sqrt(np.abs(turns)))
         arcs = np.maximum(bends, np.where(gains == 0, 0.0, 1.0)) * self.radius
         cuts = _cuts(turns, arcs)
-        self._check(turns, cuts, lengths)
         before = np.concatenate((cuts[-1:] if self.closed else [0.0], cuts[: len(lengths) - 1]))
         after = np.append(cuts, 0.0)
+        self._check(turns, before + after, lengths)
         straight = lengths - before - after
         if self.closed:  # the last leg is the first one again
-            straight, count = straight[:-1], len(turns)
-        else:
-            count = len(turns)
+            straight = straight[:-1]
         rows: list[tuple[float, ...]] = []
         unit = np.stack((np.cos(courses), np.sin(courses)), axis=1)
         for k, length in enumerate(straight.tolist()):
             x, y = points[k] + before[k] * unit[k]
             rows.append((length, x, y, courses[k], 0.0, speeds[k], 0.0))
-            if k < count:
+            if k < len(turns):
                 x, y = points[k + 1] - cuts[k] * unit[k]
                 rows.append((arcs[k], x, y, courses[k], turns[k], speeds[k], gains[k]))
         table = np.array(rows)
         return _Segments(table[:, 0], table[:, 1:3], *table[:, 3:].T)
 
-    def _check(self, turns: Array, cuts: Array, lengths: Array) -> None:
-        """Raise ValueError if a corner does not fit on its legs."""
+    def _check(self, turns: Array, both: Array, lengths: Array) -> None:
+        """Raise ValueError if the corners at both ends of a leg [m] do not fit on its length [m]."""
         n = len(self.waypoints)
         for k, turn in enumerate(turns.tolist()):
             if abs(turn) > math.pi - 1e-3:
@@ -133,7 +125,6 @@ class Legs:
                     f"Legs: the path turns back at waypoint {(k + 1) % n}; a vehicle that cannot turn on the spot "
                     "needs two corners there"
                 )
-        both = np.append(cuts, 0.0) + np.concatenate((cuts[-1:] if self.closed else [0.0], cuts[: len(lengths) - 1]))
         short = both - lengths
         if (short > 1e-9 * lengths).any():
             k = int(np.argmax(short / lengths))
@@ -165,9 +156,7 @@ class Legs:
         Raises:
             ValueError: a time is outside 0 ... `end`.
         """
-        t = np.asarray(t, dtype=np.float64)
-        if not np.all((t >= -_ROUNDING) & (t <= self.end + _ROUNDING)):
-            raise ValueError(f"Legs: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+        t = checked_times(self, t)
         k: Indices = np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, len(self._times) - 2)
         length, begin, course, turn, V_0, gain = (column[k] for column in self._segments)
         since, some = t - self._times[k], np.where(length > 0, length, 1.0)

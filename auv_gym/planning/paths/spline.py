@@ -11,11 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import is_number
+from auv_gym.planning.paths.base import checked_times, is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
 from auv_gym.planning.paths.waypoints import WaypointWarning, checked_waypoints
-
-_ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 
 
 @dataclass(frozen=True)
@@ -61,9 +59,7 @@ class Spline:
         Raises:
             ValueError: a time is outside 0 ... `end`.
         """
-        t = np.asarray(t, dtype=np.float64)
-        if not np.all((t >= -_ROUNDING) & (t <= self.end + _ROUNDING)):
-            raise ValueError(f"Spline: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+        t = checked_times(self, t)
         q = self._law.chord(t)
         p, p1, p2, p3 = (np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4))  # by q
         p = p + np.array(self.waypoints[0]).reshape(2, *(1,) * t.ndim)

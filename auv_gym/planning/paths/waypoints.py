@@ -13,7 +13,8 @@ from auv_gym.physics.namespaces import Array
 
 NEAR = 0.1
 """Distance [m] below which successive waypoints are one."""
-_MAJOR, _FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid WGS 84; [m]
+EQUATOR, FLATTENING = 6378137.0, 1 / 298.257223563
+"""Radius of the equator [m] and flattening of the ellipsoid WGS 84."""
 
 
 class WaypointWarning(UserWarning):
@@ -90,7 +91,7 @@ def from_geographic(
 
 def _geocentric(latitude: Array, longitude: Array) -> Array:
     """Return the geocentric coordinates [m] of points of the ellipsoid, shape (n, 3)."""
-    phi, lam, e_2 = np.radians(latitude), np.radians(longitude), _FLATTENING * (2 - _FLATTENING)
-    N = _MAJOR / np.sqrt(1 - e_2 * np.sin(phi) ** 2)
+    phi, lam, e_2 = np.radians(latitude), np.radians(longitude), FLATTENING * (2 - FLATTENING)
+    N = EQUATOR / np.sqrt(1 - e_2 * np.sin(phi) ** 2)
     x, y = N * np.cos(phi) * np.cos(lam), N * np.cos(phi) * np.sin(lam)
     return np.stack((x, y, N * (1 - e_2) * np.sin(phi)), axis=1)

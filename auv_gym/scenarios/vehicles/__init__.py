@@ -109,6 +109,8 @@ class VehicleModel:
 
 VehicleLike = Vehicle | VehicleModel | str | os.PathLike[str] | Mapping[str, Any]
 """A vehicle, its model, the dict of one of them, its file, or the name of a vehicle."""
+PAPER_TURN_RATE = 0.12
+"""Turn rate [rad/s] of the paths of the paper's vehicle at cruise."""
 PAPER_LAG = 0.2
 """Nominal lag [s] of the actuators of the paper's vehicle."""
 PAPER = VehicleModel(
@@ -119,7 +121,7 @@ PAPER = VehicleModel(
     assumed="limits, speed and lag",
     vehicle=PAPER_VEHICLE,
     actuators=Actuators(F_u_max=400.0, F_r_max=200.0),
-    turn_rate=0.12,
+    turn_rate=PAPER_TURN_RATE,
     lag=PAPER_LAG,
 )
 """The vehicle of the presets."""
