@@ -156,7 +156,8 @@ def start(choose):
 def faults(choose):
     """Return the distribution of faults."""
     kinds = tuple(choose.of(FAULT_KINDS) for _ in range(choose.of((1, 2, 3))))
-    return RandomFaults(kinds, choose.number(0, 60), interval(choose, 0, 2), interval(choose, 0, 5))
+    numbers = choose.number(0, 60), interval(choose, 0, 2), interval(choose, 0, 5), interval(choose, 0, 0.5)
+    return RandomFaults(kinds, *numbers, either(choose, lambda: interval(choose, 0, 5)))
 
 
 def scenario(choose, substeps=SUBSTEPS):

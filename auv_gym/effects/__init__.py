@@ -3,7 +3,7 @@
 from auv_gym.effects.actuators import Astern, Delay, Fins, Reach
 from auv_gym.effects.base import EFFECTS, POINTS, At, Effect, effect
 from auv_gym.effects.current import Shear
-from auv_gym.effects.faults import Faults
+from auv_gym.effects.faults import Faults, OffsetFaults
 from auv_gym.effects.mismatch import CrossFlow, Lift
 from auv_gym.effects.navigation import DeadReckoning, Outages
 from auv_gym.effects.reward import FineReward
@@ -13,7 +13,7 @@ from auv_gym.physics.intervals import Interval
 from auv_gym.physics.namespaces import Number
 
 PACKAGE: tuple[type[Effect], ...] = (
-    Delay, Reach, Faults, Astern, Fins, Lift, CrossFlow, Shear, DeadReckoning, Outages, LowPass,
+    Delay, Reach, Faults, OffsetFaults, Astern, Fins, Lift, CrossFlow, Shear, DeadReckoning, Outages, LowPass,
 )  # fmt: skip
 """The effects of the package, in the order in which they act at a point."""
 

@@ -16,11 +16,13 @@ from auv_gym.physics.namespaces import Array, Number
 FAULT_KINDS = (
     "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way",
     "all frozen", "heading frozen", "velocity frozen", "yaw rate frozen", "velocity missing", "position jump",
+    "velocity offset",
 )  # fmt: skip
 """Kinds of faults. A stuck actuator repeats its last command, a dead one gives no force, one that works one way gives
 no force astern or no torque to port. A frozen measurement keeps its last value; missing velocities u, v read zero. A
-jump adds a constant error to the measured position."""
+jump adds a constant error to the measured position, an offset one to the measured velocities u, v over ground."""
 _ACTUATORS = {"u": "surge", "r": "yaw"}  # names of the channels in the kinds of faults
+_JUMP, _OFFSET = "position jump", "velocity offset"  # kinds with a drawn size
 _CODE = {name: float(code) for code, name in enumerate(FAULT_KINDS, 1)}
 
 
@@ -30,12 +32,12 @@ class Fault(NamedTuple):
     kind: str  # one of `FAULT_KINDS`
     begin: float  # [s]
     end: float  # [s]
-    jump: tuple[float, float] = (0.0, 0.0)  # x, y [m] of a position jump
+    jump: tuple[float, float] = (0.0, 0.0)  # x, y [m] of a position jump; u, v [m/s] of a velocity offset
 
 
 @dataclass(frozen=True)
 class RandomFaults:
-    """Faults at random times; the kind of each is one of `kinds` with equal probability.
+    """Faults at random times, or one that begins in a given interval; each of the `kinds` has equal probability.
 
     Raises:
         ValueError: a kind is unknown or there is none, or a number is out of range.
@@ -45,6 +47,8 @@ class RandomFaults:
     rate: float = 2.0  # [1/min] mean rate
     time: Interval = (3.0, 10.0)  # [s] duration of a fault
     jump: Interval = (1.0, 3.0)  # [m] size of a position jump
+    offset: Interval = (0.0, 0.1)  # [m/s] size of a velocity offset
+    begin: Interval | None = None  # [s] begin of the only fault of an episode; None: faults at the mean rate
 
     def __post_init__(self) -> None:
         if not isinstance(self.kinds, tuple) or not self.kinds or not set(self.kinds) <= set(FAULT_KINDS):
@@ -52,21 +56,27 @@ class RandomFaults:
         check_number("faults rate", self.rate, 0, 60)
         check_interval("faults time", self.time, 0, 1e4)
         check_interval("faults jump", self.jump, 0, 1e4)
+        check_interval("faults offset", self.offset, 0, 1e3)
+        if self.begin is not None:
+            check_interval("faults begin", self.begin, 0, 1e6)
 
     def draw(self, rng: np.random.Generator, duration: float) -> tuple[Fault, ...]:
         """Return the faults of an episode of a duration [s], ordered by their begin."""
-        count = int(rng.poisson(self.rate * duration / 60))
-        faults = []
-        for begin in np.sort(rng.uniform(0.0, duration, count)).tolist():
+        if self.begin is None:
+            begins = np.sort(rng.uniform(0.0, duration, rng.poisson(self.rate * duration / 60))).tolist()
+        else:
+            begins = [draw(self.begin, rng.random)]
+        faults, sizes = [], {_JUMP: self.jump, _OFFSET: self.offset}
+        for begin in begins:
             kind, angle = self.kinds[rng.integers(len(self.kinds))], rng.uniform(0.0, 2 * np.pi)
-            size = draw(self.jump, rng.random) if kind == "position jump" else 0.0
+            size = draw(sizes[kind], rng.random) if kind in sizes else 0.0
             x, y = float(size * np.cos(angle)), float(size * np.sin(angle))
             faults.append(Fault(kind, begin, begin + draw(self.time, rng.random), (x, y)))
         return tuple(faults)
 
 
 def fault_rows(faults: Sequence[Fault], dt: float, instants: int) -> Array:
-    """Return the code of the fault and the jump x, y [m] at each control instant, shape (3, instants).
+    """Return the code of the fault and its `Fault.jump` at each control instant, shape (3, instants).
 
     The code is 0 without a fault, and at the first instant. A fault ends when the next one begins.
     """
@@ -77,6 +87,11 @@ def fault_rows(faults: Sequence[Fault], dt: float, instants: int) -> Array:
         rows[:, during] = np.array([_CODE[fault.kind], *fault.jump])[:, None]
     rows[:, 0] = 0.0
     return rows
+
+
+def _during(kind: str, rows: Array) -> Array:
+    """Return the last two of the rows of `fault_rows` during faults of a kind, else zero."""
+    return np.where(_is(rows[0], kind), rows[1:], 0.0)
 
 
 def _is(fault: Number, kind: str) -> Number:
@@ -99,7 +114,7 @@ class Faults(Effect):
         executed: Number  # command that the actuator executed
 
     class Inputs(NamedTuple):
-        """Its inputs, see `fault_rows`."""
+        """Its inputs."""
 
         code: Number  # of the fault; 0 without one
         jump_x: Number  # [m] jump of the measured position
@@ -108,7 +123,10 @@ class Faults(Effect):
     @classmethod
     def series(cls, scenario: Any, episode: Any, table: Array) -> Array | None:
         """Return code and jump at each control instant."""
-        return fault_rows(episode.faults, scenario.control_dt, len(table)) if episode.faults else None
+        if not episode.faults:
+            return None
+        rows = fault_rows(episode.faults, scenario.control_dt, len(table))
+        return np.concatenate((rows[:1], _during(_JUMP, rows)))
 
     @staticmethod
     def command(command: Force, memory: tuple[Memory, ...], at: At) -> tuple[tuple[Number, ...], tuple[Memory, ...]]:
@@ -142,3 +160,36 @@ class Faults(Effect):
         held = frozen, frozen, heading, velocity, velocity, yaw_rate
         x, y, psi, u, v, r = (ns.where(*sides) for sides in zip(held, at.last, measured, strict=True))
         return (x, y, psi, ns.where(missing, 0.0 * u, u), ns.where(missing, 0.0 * v, v), r), memory
+
+
+class OffsetFaults(Effect):
+    """Faults "velocity offset", an effect of its own so that other faults need no inputs for it."""
+
+    what = "a velocity offset"
+
+    class Inputs(NamedTuple):
+        """Its inputs."""
+
+        u: Number  # [m/s] offset of the measured velocity over ground
+        v: Number  # [m/s]
+
+    @classmethod
+    def used(cls, scenario: Any) -> bool:
+        """Return whether the scenario has faults of this kind."""
+        return scenario.faults is not None and _OFFSET in scenario.faults.kinds
+
+    @classmethod
+    def there(cls, episode: Any) -> bool:
+        """Return whether the episode has a fault of this kind."""
+        return any(fault.kind == _OFFSET for fault in episode.faults)
+
+    @classmethod
+    def series(cls, scenario: Any, episode: Any, table: Array) -> Array | None:
+        """Return the offset at each control instant."""
+        return _during(_OFFSET, fault_rows(episode.faults, scenario.control_dt, len(table)))
+
+    @staticmethod
+    def noise(noise: State, at: At) -> State:
+        """Return the errors of the measurements with the offset of the velocity."""
+        x, y, psi, u, v, r = noise
+        return x, y, psi, u + at.inputs.u, v + at.inputs.v, r

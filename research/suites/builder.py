@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.faults import RandomFaults
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Spline
 from auv_gym.planning.planner import plan
@@ -68,7 +68,7 @@ def _faults() -> list[Recipe]:
     for speed_range in SPEED_RANGES:
         storm = PRESETS[f"{speed_range}-storm"]
         changes: dict[str, dict[str, Any]] = {
-            kind.replace(" ", "-"): {"faults": RandomFaults((kind,), rate=FAULT_RATE)} for kind in FAULT_KINDS
+            kind.replace(" ", "-"): {"faults": RandomFaults((kind,), rate=FAULT_RATE)} for kind in sealed.FAULTS
         }
         blind = replace(storm.sensors, outages=LONG_OUTAGES, outage_time=SUITE_OUTAGE_TIME)
         changes["long-outages"] = {"sensors": blind}

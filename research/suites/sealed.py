@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.effects.current import RandomCurrent
-from auv_gym.effects.faults import FAULT_KINDS, RandomFaults
+from auv_gym.effects.faults import RandomFaults
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.waves import RandomWaves
 from auv_gym.scenarios.mixtures import slewing
@@ -47,8 +47,12 @@ _WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
 _PERIOD = 0.05  # [s] control period
 _CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
 _TURN = {"slow": (-0.04, 0.04), "cruise": (-0.1, 0.1)}  # [rad/s] turn rate of a turning current
-_ACTUATOR_FAULTS = tuple(kind for kind in FAULT_KINDS if kind.endswith(("stuck", "dead", "one way")))
-_SENSOR_FAULTS = tuple(kind for kind in FAULT_KINDS if kind not in _ACTUATOR_FAULTS)
+_ACTUATOR_FAULTS = "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way"
+_SENSOR_FAULTS = (
+    "all frozen", "heading frozen", "velocity frozen", "yaw rate frozen", "velocity missing", "position jump",
+)  # fmt: skip
+FAULTS = *_ACTUATOR_FAULTS, *_SENSOR_FAULTS
+"""Kinds of faults of the frozen suites, whatever kinds are added to the package."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +189,7 @@ def _third(storm: Scenario, speed_range: str) -> Changes:
         "turning": {"current": turning},
         "chop": {"waves": chop},
         "all-at-once": {
-            "faults": RandomFaults(FAULT_KINDS, rate=1.0),
+            "faults": RandomFaults(FAULTS, rate=1.0),
             "actuators": weak,
             "current": turning,
             "waves": chop,

@@ -175,7 +175,7 @@ def turned(episode, angle, shift):
         current=replace(current, V_x=V_x, V_y=V_y, shear=(A_x, A_y, k_x, k_y, phase)),
         bias=(*vector(*episode.bias[:2]), *episode.bias[2:]),
         initial_error=(*vector(*episode.initial_error[:2]), episode.initial_error[2]),
-        faults=tuple(fault._replace(jump=vector(*fault.jump)) for fault in episode.faults),
+        faults=tuple(f._replace(jump=vector(*f.jump)) if f.kind == "position jump" else f for f in episode.faults),
     )
 
 

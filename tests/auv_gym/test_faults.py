@@ -4,11 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from auv_gym.effects.faults import FAULT_KINDS, Fault, RandomFaults, fault_rows
 from auv_gym.effects.navigation import RandomReckoning
+from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.units import Units
+from auv_gym.planning.paths import Line
+from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario, Start
+from auv_gym.scenarios.vehicles import vehicle_model
 from auv_gym.task.observation import decode_observation
 
 STORM = PRESETS["cruise-storm"]
@@ -104,6 +111,53 @@ def test_a_jump_moves_the_measured_position():
     np.testing.assert_allclose(np.delete(moved, np.s_[BEGIN:END], axis=1), 0.0, atol=1e-5)
 
 
+def test_an_offset_is_added_to_the_measured_velocities():
+    scenario = replace(STORM, faults=RandomFaults(("velocity offset",)))
+    whole, seen = (measurements(run(scenario, *f)[0]) for f in ((), (fault("velocity offset", (0.1, -0.05)),)))
+    added = np.zeros((6, 61))
+    added[3:5, BEGIN:END] = [[0.1], [-0.05]]
+    np.testing.assert_allclose(seen - whole, added, atol=1e-5)
+
+
+def test_an_offset_of_the_log_adds_up_in_dead_reckoning():
+    """Without a fix the estimated position drifts by the offset, in the direction of the measured heading."""
+    still = replace(PRESETS["cruise-calm"], path=Line(1.0, heading=0.3), start=Start(psi_e=0.0))
+    log = RandomReckoning(60.0, 0.0, 0.0, 0.0, 0.0)
+    scenario = replace(still, faults=RandomFaults(("velocity offset",)), sensors=Sensors(reckoning=log))
+    whole, seen = (measurements(run(scenario, *f)[0]) for f in ((), (fault("velocity offset", (0.1, -0.05)),)))
+    psi = whole[2, BEGIN:END]
+    drift = 0.1 * (0.1 - 0.05j) * np.exp(1j * psi)  # in a control period
+    x, y = (seen - whole)[:2]
+    np.testing.assert_allclose((x + 1j * y)[BEGIN:END], np.cumsum(drift), atol=1e-5)
+    np.testing.assert_allclose((x + 1j * y)[END:], drift.sum(), atol=1e-5)
+
+
+def test_the_only_fault_begins_in_its_interval():
+    random, rng = RandomFaults(("velocity frozen", "velocity offset"), begin=(20.0, 30.0)), np.random.default_rng(0)
+    drawn = [random.draw(rng, 100.0) for _ in range(1000)]
+    assert {len(faults) for faults in drawn} == {1}
+    assert kstest([(f.begin - 20.0) / 10.0 for (f,) in drawn], "uniform").pvalue > 0.01
+    assert {f.kind for (f,) in drawn} == set(random.kinds)
+    sizes = [np.hypot(*f.jump) / 0.1 for (f,) in drawn if f.kind == "velocity offset"]
+    assert kstest(sizes, "uniform").pvalue > 0.01
+    (only,) = replace(random, begin=50.0, time=20.0).draw(rng, 100.0)
+    assert (only.begin, only.end) == (50.0, 70.0)
+
+
+def test_faults_are_scaled_to_a_vehicle_and_kept_in_files(tmp_path):
+    """An offset has the dimension of a speed, and a begin that of a time."""
+    faults = RandomFaults(("velocity offset",), offset=(0.1, 0.2), begin=(3.0, 6.0))
+    scenario = replace(STORM, faults=faults)
+    units, scaled = Units.of(vehicle_model("lauv").vehicle), changed(scenario, "lauv")
+    speed = units.length / units.time
+    assert scaled.faults.offset == pytest.approx((0.1 * speed, 0.2 * speed))
+    assert scaled.faults.begin == pytest.approx((3.0 * units.time, 6.0 * units.time))
+    for suffix in ("toml", "json"):
+        scenario.save(tmp_path / f"one.{suffix}")
+        assert Scenario.load(tmp_path / f"one.{suffix}") == scenario
+    assert replace(STORM, faults=RandomFaults(("yaw dead",))).to_dict()["faults"] == {"kinds": ["yaw dead"]}
+
+
 def test_random_faults_have_their_rate_times_and_kinds():
     random, rng = RandomFaults(FAULT_KINDS, rate=3.0, time=(2.0, 5.0), jump=(1.0, 2.0)), np.random.default_rng(0)
     drawn = [random.draw(rng, 60.0) for _ in range(400)]
@@ -112,7 +166,7 @@ def test_random_faults_have_their_rate_times_and_kinds():
     assert {f.kind for f in every} == set(FAULT_KINDS)
     for f in every:
         assert 2.0 <= f.end - f.begin <= 5.0
-        low, high = (1.0, 2.0) if f.kind == "position jump" else (0.0, 0.0)
+        low, high = {"position jump": (1.0, 2.0), "velocity offset": (0.0, 0.1)}.get(f.kind, (0.0, 0.0))
         assert low <= np.hypot(*f.jump) <= high
 
 
@@ -126,3 +180,5 @@ def test_an_episode_with_faults_needs_a_scenario_with_faults():
     episode = replace(STORM.draw(np.random.default_rng(0)), faults=(fault("yaw dead"),))
     with pytest.raises(ValueError, match="the episode has faults"):
         UnderactuatedAUVTrackEnv(STORM).reset(options={"episode": episode})
+    with pytest.raises(ValueError, match="the episode has a velocity offset"):
+        run(CALM, fault("velocity offset"))

@@ -167,6 +167,12 @@ def empty(monkeypatch, tmp_path):
     return tmp_path
 
 
+def test_sealed_scenarios_are_unchanged():
+    """Also by kinds of faults or entries of scenarios that were added after the sealing."""
+    for name, seal in sealed.seals().items():
+        assert sealed.worlds_hash(name) == seal.worlds
+
+
 def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     monkeypatch.setattr(builder, "SEALED_EPISODES", 1)
     assert main(["seal", "sealed-v2"]) == DONE

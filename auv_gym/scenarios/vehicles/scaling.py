@@ -24,7 +24,7 @@ SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
     "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
     "waves": {"band": (0, -1)},
-    "faults": {"rate": (0, -1), "time": (0, 1), "jump": (1, 0)},
+    "faults": {"rate": (0, -1), "time": (0, 1), "jump": (1, 0), "offset": (1, -1), "begin": (0, 1)},
 }  # fmt: skip
 """Powers of length and time in the dimensions of the entries of a scenario, except dimensionless entries and entries
 with other rules."""
