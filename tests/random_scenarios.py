@@ -131,6 +131,8 @@ def sensors(choose):
     intervals = {f"{name}_bias": (-high, high) for name, (_, high) in noise.items()} | {"outage_time": (0, 10)}
     fields = some(choose, intervals, **noise, outages=(0, 60), low_pass=(0.05, 10))
     levels = {name: interval(choose, 1e-4, high) for name, (_, high) in noise.items() if choose.of((False, True))}
+    if choose.of((False, True)):
+        return Sensors(**fields | levels, correlation=interval(choose, 0, 5))
     return Sensors(**fields | levels, reckoning=either(choose, lambda: reckoning(choose)))
 
 

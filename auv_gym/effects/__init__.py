@@ -7,13 +7,14 @@ from auv_gym.effects.faults import Faults, OffsetFaults
 from auv_gym.effects.mismatch import CrossFlow, Lift
 from auv_gym.effects.navigation import DeadReckoning, Outages
 from auv_gym.effects.reward import FineReward
-from auv_gym.effects.sensors import LowPass
+from auv_gym.effects.sensors import CorrelatedNoise, LowPass
 from auv_gym.physics.dynamics import Force, State
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.namespaces import Number
 
 PACKAGE: tuple[type[Effect], ...] = (
-    Delay, Reach, Faults, OffsetFaults, Astern, Fins, Lift, CrossFlow, Shear, DeadReckoning, Outages, LowPass,
+    Delay, Reach, CorrelatedNoise, Faults, OffsetFaults, Astern, Fins, Lift, CrossFlow, Shear, DeadReckoning, Outages,
+    LowPass,
 )  # fmt: skip
 """The effects of the package, in the order in which they act at a point."""
 

@@ -1,4 +1,4 @@
-"""Measurements: white noise, constant bias, position fixes, and a first-order low-pass on the tracking errors."""
+"""Measurements: noise, constant bias, position fixes, and a first-order low-pass on the tracking errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ import numpy as np
 from auv_gym.effects.base import At, Effect, Measured
 from auv_gym.effects.navigation import FixFilter, RandomReckoning
 from auv_gym.physics.dynamics import State
-from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, draw_log, mean_square
+from auv_gym.physics.intervals import (
+    Interval,
+    Uniform,
+    by_library,
+    check_interval,
+    check_number,
+    draw,
+    draw_log,
+    mean_square,
+)
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 
 NOISES = ("position", "heading", "velocity", "yaw_rate")
@@ -38,11 +47,12 @@ class NoiseLevels:
 class Sensors:
     """Errors of the six measurements x, y, psi, u, v, r; the velocities are over ground.
 
-    Noise is white: independent in each control step. Its level in an interval is drawn once an episode, with a uniform
-    logarithm, since instruments differ by orders of magnitude. A bias is drawn once an episode for each measurement.
-    During an outage of the position fix, x and y keep their last measured values. With `reckoning`, position fixes are
-    rare: they have the errors of x and y, dead reckoning from measured heading and velocities gives the position
-    between them, and fixes within an outage are omitted.
+    Noise is white: independent in each control step. Only that of the position may have a `correlation` time, see
+    `CorrelatedNoise`. A level in an interval is drawn once an episode, with a uniform logarithm, since instruments
+    differ by orders of magnitude. A bias is drawn once an episode for each measurement, and the correlation time once
+    for both axes. During an outage of the position fix, x and y keep their last measured values. With `reckoning`,
+    position fixes are rare: they have the errors of x and y, dead reckoning from measured heading and velocities gives
+    the position between them, and fixes within an outage are omitted.
     """
 
     position: Interval = 0.0  # [m] standard deviation of the noise on x and on y
@@ -57,6 +67,7 @@ class Sensors:
     outage_time: Interval = (2.0, 10.0)  # [s] duration of an outage
     reckoning: RandomReckoning | None = None  # dead reckoning between rare fixes; None: a fix in each control step
     low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
+    correlation: Interval = 0.0  # [s] correlation time of the noise of the position; 0: white
 
     def __post_init__(self) -> None:
         for name in NOISES:
@@ -65,10 +76,16 @@ class Sensors:
             if isinstance(level, tuple) and not level[0] > 0:
                 raise ValueError(f"sensors {name} is {level!r}; its logarithm is uniform, so low must be positive")
             check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
+        check_interval("sensors correlation", self.correlation, 0, 1e4)
         check_number("sensors outages", self.outages, 0, 60)
         check_interval("sensors outage_time", self.outage_time, 0, 1e4)
         if not isinstance(self.reckoning, RandomReckoning | None):
             raise ValueError(f"sensors reckoning is {self.reckoning!r}; it must be a RandomReckoning or None")
+        if self.reckoning is not None and self.correlation != 0:
+            raise ValueError(
+                f"sensors correlation is {self.correlation!r}, but the fixes of dead reckoning have white noise; "
+                "set correlation to 0, or leave out reckoning"
+            )
         if self.low_pass is not None:
             check_number("sensors low_pass", self.low_pass, 1e-6, 1e6)
 
@@ -154,3 +171,44 @@ class LowPass(Effect):
         """Return the filtered errors."""
         filtered = low_pass(memory, errors, 1.0 if at.begins else at.own.gain, at.ns)
         return filtered, Measured(*filtered)
+
+
+class CorrelatedNoise(Effect):
+    """The noise of the position is a stationary first-order Gauss-Markov process: `Sensors.correlation`.
+
+    n_k = a n_(k-1) + sqrt(1 - a^2) w_k on each axis, with n_0 = w_0 and white noise w. Then n has the standard
+    deviation s of w, and the autocovariance s^2 a^k at a lag of k control periods. Here a = exp(-dt / correlation).
+    """
+
+    what = "a correlated noise of the position"
+    entry, drawn = ("sensors.correlation", 0), ("correlation", 0)
+
+    class Constants(NamedTuple):
+        """Its numbers in an episode."""
+
+        decay: Number = 0.0  # a
+        gain: Number = 1.0  # sqrt(1 - a^2)
+        bias_x: Number = 0.0  # [m] of the position, which is not filtered
+        bias_y: Number = 0.0  # [m]
+
+    class Memory(NamedTuple):
+        """The errors of the position, noise and bias."""
+
+        x: Number  # [m]
+        y: Number  # [m]
+
+    @classmethod
+    def constants(cls, scenario: Any, episode: Any) -> tuple[Number, ...]:
+        """Return the numbers of the process."""
+        dt = scenario.control_dt
+        decay = by_library(lambda time: math.exp(-dt / time) if time > 0 else 0.0)(episode.correlation)
+        return decay, by_library(lambda a: math.sqrt(1 - a * a))(decay), *episode.bias[:2]
+
+    @staticmethod
+    def noise(noise: State, memory: Memory, at: At) -> tuple[State, Memory]:
+        """Return the errors of the measurements with correlated noise of the position."""
+        if not at.begins:
+            axes = zip(memory, noise[:2], (at.own.bias_x, at.own.bias_y), strict=True)
+            x, y = (b + at.own.decay * (last - b) + at.own.gain * (now - b) for last, now, b in axes)
+            noise = (x, y, *noise[2:])
+        return noise, CorrelatedNoise.Memory(*noise[:2])

@@ -39,6 +39,7 @@ class Episode:
     faults: tuple[Fault, ...] = ()  # of actuators and measurements
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
     noise: State | None = None  # standard deviations of the measurements; None: those of the scenario
+    correlation: float = 0.0  # [s] correlation time of the noise of the position; 0: white
     effects: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # names and numbers of the effects of `Scenario.effects`
 
     def initial_state(self, reference: Sequence[float]) -> State:

@@ -225,12 +225,15 @@ class Scenario:
         return self.completed(episode, noise_seed)
 
     def completed(self, episode: Episode, noise_seeds: Any) -> Episode:
-        """Return an episode with the numbers that have a stream of their own: levels of the noise, and `effects`.
+        """Return an episode with the numbers that have a stream of their own: those of the noise, and `effects`.
 
         Also N episodes with rows, for their noise seeds (N,).
         """
         if self.sensors.draws_noise:
             episode = replace(episode, noise=self.sensors.draw_noise(uniform_of("noise", noise_seeds)))
+        if self.sensors.correlation != 0:
+            time: Any = draw(self.sensors.correlation, uniform_of("correlation", noise_seeds))
+            episode = replace(episode, correlation=time)
         if not self.effects:
             return episode
         drawn = ((one.name, one.draw(uniform_of(one.name, noise_seeds))) for one in self.effects)

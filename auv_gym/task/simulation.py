@@ -273,8 +273,9 @@ def _observe(
 
 
 def measurement_errors(sample: Sequence[Number], p: Any, ns: Namespace) -> Any:
-    """Return the errors of the measured state in a sample, with those of the effects."""
-    return _Effects(sample, p, ns)("noise", tuple(sample[p.parts.model.noise_rows]), (), ())
+    """Return the errors of the measured state in a sample, as at the first instant: effects remember nothing."""
+    effects = _Effects(sample, p, ns, (0.0,) * p.parts.places.sizes[1], begins=True)
+    return effects("noise", tuple(sample[p.parts.model.noise_rows]), (), ())
 
 
 def ground_state(plant: Any, sample: Sequence[Number], p: Any, ns: Namespace) -> Any:

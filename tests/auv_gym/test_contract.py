@@ -50,6 +50,11 @@ SCENARIOS = [
     replace(STORM, name="outages", sensors=Sensors(position=0.1, outages=40.0, outage_time=(0.3, 1.0))),
     replace(STORM, name="dead-reckoning", sensors=replace(STORM.sensors, reckoning=RECKONING, outages=10.0)),
     replace(STORM, name="faults", faults=RandomFaults(FAULT_KINDS, rate=10.0)),
+    replace(
+        STORM,
+        name="correlated",
+        sensors=Sensors(position=(0.01, 0.1), position_bias=(-1.0, 1.0), correlation=(0.0, 5.0)),
+    ),
     replace(STORM, name="crossed", vehicle=CROSSED, mismatch=None),
     replace(STORM, name="shear", current=RandomCurrent(speed=0.3, shear=(0.2, 0.3), wavelength=(5.0, 9.0))),
 ]

@@ -23,13 +23,14 @@ STORM = PRESETS["cruise-storm"]
 FILTERED = replace(STORM, name="filtered", sensors=Sensors(position=0.05, low_pass=1.0))
 LIMITED = replace(STORM, actuators=Actuators(250.0, 100.0, 0.3, 100.0, 50.0, delay=2.0, reach=(0.3, 0.6), astern=0.7))
 RECKONED = replace(STORM, sensors=replace(STORM.sensors, reckoning=RandomReckoning((1.0, 3.0)), outages=10.0))
+COLOURED = replace(STORM, sensors=replace(STORM.sensors, position=(0.01, 0.1), correlation=(1.0, 5.0)))
 FAULTY = replace(STORM, faults=RandomFaults(FAULT_KINDS, rate=10.0))
 
 
 @pytest.mark.parametrize(
     "scenarios",
-    [[*PRESETS.values(), FILTERED], [LIMITED, FAULTY], [RECKONED, STORM], [as_scenario("cruise-storm@lauv")]],
-    ids=["presets", "actuators", "dead-reckoning", "lift"],
+    [[*PRESETS.values(), FILTERED], [LIMITED, FAULTY, COLOURED], [RECKONED, STORM], [as_scenario("cruise-storm@lauv")]],
+    ids=["presets", "actuators-and-sensors", "dead-reckoning", "lift"],
 )
 def test_equals_the_vector_environment(scenarios):
     steps, env = 100, UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, autoreset_mode="NextStep")

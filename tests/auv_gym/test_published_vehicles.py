@@ -85,7 +85,9 @@ def test_for_the_vehicle_of_the_paper_a_scenario_does_not_change(name):
 
 
 @pytest.mark.parametrize(
-    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+    "sensors",
+    [{"outages": 3.0, "low_pass": 2.0, "correlation": (1.0, 4.0)}, {"reckoning": RandomReckoning((5.0, 9.0))}],
+    ids=str,
 )
 def test_the_vehicle_of_the_paper_in_other_units(sensors):
     """A vehicle twice as long, three times as slow and five times as heavy has the same dimensionless motion."""
@@ -245,7 +247,9 @@ def test_a_scenario_is_adapted_only_once(vehicle):
 
 @pytest.mark.parametrize("name", ["lauv", "gunnerus"])
 @pytest.mark.parametrize(
-    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+    "sensors",
+    [{"outages": 3.0, "low_pass": 2.0, "correlation": (1.0, 4.0)}, {"reckoning": RandomReckoning((5.0, 9.0))}],
+    ids=str,
 )
 def test_a_scenario_in_the_units_of_its_vehicle(name, sensors):
     """The same actions give the same states in lengths and times of the vehicle."""

@@ -11,11 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest
 
 from auv_gym.effects.actuators import Actuators, Response, respond
+from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.effects.sensors import Sensors, low_pass
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.units import Units
 from auv_gym.planning.paths import Line
@@ -138,6 +140,70 @@ def test_levels_of_the_noise_are_drawn_with_a_uniform_logarithm():
         ValueError, match=r"position is \(0.0, 1.0\); its logarithm is uniform, so low must be positive"
     ):
         Sensors(position=(0.0, 1.0))
+
+
+def position_errors(sensors, n_envs=1, steps=300):
+    """Return the errors of the measured position [m] in the world: steps + 1 instants, vehicles, axes."""
+    seen = []
+    for each in (sensors, Sensors()):  # the same motion without errors
+        still = Scenario(path=Line(1.0, heading=0.4), sensors=each, steps=1000)
+        env = UnderactuatedAUVTrackVectorEnv(n_envs, still)
+        rows, actions = [env.reset(seed=5)[0]], np.zeros((n_envs, 2), dtype=np.float32)
+        rows += [env.step(actions)[0] for _ in range(steps)]
+        o = decode_observation(np.reshape(rows, (-1, 18)))
+        seen.append((o.e_x + 1j * o.e_y) * (o.cos_psi + 1j * o.sin_psi))
+    errors = seen[0] - seen[1]
+    return np.stack((errors.real, errors.imag), axis=-1).reshape(steps + 1, n_envs, 2)
+
+
+def test_correlated_noise_is_white_noise_after_a_filter():
+    """By SciPy, from its stationary distribution on; a bias is not filtered."""
+    time, bias = 2.0, 0.3
+    white = position_errors(Sensors(position=0.1))
+    found = position_errors(Sensors(position=0.1, position_bias=bias, correlation=time))
+    a = math.exp(-0.1 / time)
+    rest, _ = lfilter([math.sqrt(1 - a * a)], [1.0, -a], white[1:], axis=0, zi=a * white[:1])
+    np.testing.assert_allclose(found - bias, np.concatenate((white[:1], rest)), rtol=0, atol=1e-5)
+
+
+def test_correlated_noise_has_its_autocovariance():
+    """It is stationary: the variance is the same at all instants, also at the first one."""
+    n, time, deviation = 400, 1.5, 0.1
+    errors = position_errors(Sensors(position=deviation, correlation=time), n) / deviation
+    for lag in (0, 1, 10, 30, 60):
+        found = (errors[lag:] * errors[: len(errors) - lag]).mean(axis=(0, 1))
+        np.testing.assert_allclose(found, math.exp(-0.1 * lag / time), rtol=0, atol=0.06)
+    assert np.abs((errors[..., 0] * errors[..., 1]).mean()) < 0.06
+    spread = n * (errors**2).mean(axis=1)  # chi-squared with n degrees of freedom
+    low, high = chi2.ppf((1e-6, 1 - 1e-6), n)
+    assert ((low < spread) & (spread < high)).all()
+
+
+def test_a_correlation_time_is_drawn_once_an_episode(tmp_path):
+    """In the episodes of one and of many vehicles alike, with drawn levels; no other number is drawn differently."""
+    sensors = Sensors(position=(0.01, 1.0), heading=0.01, position_bias=(-1.0, 1.0), correlation=(2.0, 6.0))
+    noisy = Scenario(path=Line(1.0), sensors=sensors)
+    plain = replace(noisy, sensors=replace(sensors, correlation=0.0))
+    episodes = [noisy.draw(np.random.default_rng(seed)) for seed in range(1000)]
+    assert kstest([(episode.correlation - 2.0) / 4.0 for episode in episodes], "uniform").pvalue > 0.01
+    others = [replace(episode, correlation=0.0) for episode in episodes[:5]]
+    assert others == [plain.draw(np.random.default_rng(seed)) for seed in range(5)]
+    env, alone = UnderactuatedAUVTrackVectorEnv(4, noisy), UnderactuatedAUVTrackEnv(noisy)
+    first, one = env.reset(seed=11)[0][2], alone.reset(seed=13)[0]
+    for _ in range(50):
+        np.testing.assert_array_equal(first, one)
+        action = np.full((4, 2), 0.3, dtype=np.float32)
+        first, one = env.step(action)[0][2], alone.step(action[0])[0]
+    for suffix in ("toml", "json"):
+        noisy.save(tmp_path / f"one.{suffix}")
+        assert Scenario.load(tmp_path / f"one.{suffix}") == noisy
+    assert "correlation" not in plain.to_dict()["sensors"]
+    time = Units.of(VehicleModel.load(VEHICLES_FOLDER / "lauv.toml").vehicle).time
+    assert changed(noisy, "lauv").sensors.correlation == pytest.approx((2.0 * time, 6.0 * time))
+    with pytest.raises(ValueError, match="the episode has a correlated noise of the position"):
+        UnderactuatedAUVTrackEnv(plain).reset(options={"episode": episodes[0]})
+    with pytest.raises(ValueError, match=r"correlation is 2\.0, but the fixes of dead reckoning have white noise; set"):
+        Sensors(correlation=2.0, reckoning=RandomReckoning())
 
 
 def test_a_vehicle_with_instruments_has_their_noise_where_a_scenario_is_noisy(tmp_path):

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from auv_gym.effects.faults import RandomFaults
+from auv_gym.effects.sensors import Sensors
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import CASES
@@ -85,6 +87,20 @@ def test_a_changed_file_is_refused(file):
         file.unlink() if damaged is None else file.write_bytes(damaged)
         with pytest.raises(suites.SuiteError, match=reason):
             suites.load_suite("small")
+
+
+def test_correlated_noise_and_offsets_are_in_the_files_of_suites(tmp_path, monkeypatch, small):
+    scenario = replace(
+        small.cells[1].scenario,
+        sensors=Sensors(position=(0.1, 1.0), correlation=(1.0, 5.0)),
+        faults=RandomFaults(("velocity offset",), begin=(20.0, 30.0)),
+    )
+    cell = suites.rounded(Cell(scenario, tuple(scenario.draw(np.random.default_rng(seed)) for seed in range(2))))
+    suites.save_suite("coloured", [cell], tmp_path / suites.FOLDER)
+    assert suites.load_suite("coloured").cells == (cell,)
+    for episode in cell.episodes:
+        assert 1.0 <= episode.correlation <= 5.0
+        assert [fault.kind for fault in episode.faults] == ["velocity offset"]
 
 
 def test_a_changed_random_stream_is_detected(small):

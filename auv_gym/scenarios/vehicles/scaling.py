@@ -19,7 +19,7 @@ SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "sensors": {
         "position": (1, 0), "velocity": (1, -1), "yaw_rate": (0, -1), "position_bias": (1, 0),
         "velocity_bias": (1, -1), "yaw_rate_bias": (0, -1), "outages": (0, -1), "outage_time": (0, 1),
-        "low_pass": (0, -1),
+        "low_pass": (0, -1), "correlation": (0, 1),
     },
     "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
     "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
