@@ -56,6 +56,7 @@ PARTS = {
         "starts": "research.paper.command:starts_section",
         "remarks": "research.paper.command:remarks_section",
     },
+    "theory": {"held commands": "research.paper.command:held_section"},
     "policies": {"tuned gains": "research.vehicles.gains:tuned_gains"},
     "export-cost": {
         "agreement": "research.deployment.measure:agreement_section",

@@ -6,14 +6,24 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
+from auv_gym import Scenario
+from auv_gym.effects.actuators import Actuators
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from baselines.control.backstepping import GAINS
-from research.paper.command import main
+from auv_gym.planning.paths import Circle
+from auv_gym.planning.planner import plan
+from baselines.control.backstepping import GAINS, Backstepping, tracking_forces
+from baselines.control.linearisation import error_dynamics
+from baselines.evaluation.episodes import run_episodes
+from research.paper.command import held_growth, main
 from research.paper.numbers import printed_surge_rate, reproduce_paper
 from research.paper.stability import (
     closed_loop_eigenvalues,
     derived_sign_forces,
+    held_abscissa,
+    monodromy,
     spectral_abscissa,
 )
 
@@ -168,3 +178,55 @@ def test_printed_surge_rate_holds_for_clockwise_curves(gamma, v_p, v_p_dot, omeg
     expected = v_p_dot * math.cos(gamma) - v_p * math.sin(gamma) * gamma_dot
     got = printed_surge_rate(v_p * math.cos(gamma), v_p, v_p_dot, omega, PAPER_VEHICLE)
     assert got == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("gains", "speed", "turn_rate", "dt", "lag"),
+    [("paper", 0.3, 0.04, 0.2, 1.0), ("paper", 0.1, -0.04, 0.2, 0.36), ("cruise", 1.5, 0.12, 0.1, 1.0),
+     ("robust", 2.0, 0.3, 0.1, 0.12), ("normalised", 1.0, -0.2, 0.1, 2.0)],
+)  # fmt: skip
+def test_held_commands_are_the_exponential_of_the_augmented_system(gains, speed, turn_rate, dt, lag):
+    """Lagged forces and held commands as states; the simulator's force has the same mean over a period."""
+    law, (now, _) = GAINS[gains], plan(Circle(speed, turn_rate), PAPER_VEHICLE, np.array([0.0, 1.0])).table
+    A, B = error_dynamics(PAPER_VEHICLE, *now[3:6])
+    reference = [np.full(6, value) for value in now[3:]]
+    high, low = (
+        np.array(tracking_forces((*e, *reference), PAPER_VEHICLE, law, ARRAYS))
+        for e in (1e-6 * np.eye(6), -1e-6 * np.eye(6))
+    )
+    M = np.zeros((10, 10))
+    M[:6, :6], M[:6, 6:8] = A, B
+    M[6:8, 6:8], M[6:8, 8:] = -np.eye(2) / lag, np.eye(2) / lag
+    after = expm(M * dt)[:8]
+    after[:, :6] += after[:, 8:] @ (high - low) / 2e-6
+    found = monodromy(
+        PAPER_VEHICLE, lambda o: tracking_forces(o, PAPER_VEHICLE, law, ARRAYS), speed, turn_rate, dt, lag
+    )
+    expected = math.log(np.abs(np.linalg.eigvals(after[:, :8])).max()) / dt
+    assert held_abscissa(PAPER_VEHICLE, law, speed, turn_rate, dt, lag) == pytest.approx(expected, abs=1e-3)
+    np.testing.assert_allclose(found[:6, :6], after[:6, :6], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("gains", "speed", "turn_rate", "dt", "lag"), [("cruise", 1.0, 0.12, 0.1, 0.6), ("paper", 0.2, 0.04, 0.2, 0.36)]
+)
+def test_errors_in_an_episode_decay_as_the_held_loop_does(gains, speed, turn_rate, dt, lag):
+    """From actuators at rest; two rows of a recurrence are the slowest pair of eigenvalues."""
+    scenario = Scenario(path=Circle(speed, turn_rate), actuators=Actuators(lag=lag), control_dt=dt, steps=700)
+    [episode] = run_episodes(Backstepping(gains=GAINS[gains]), scenario, 1)
+    e_y = episode.observations[300:, 1]
+    recurrence = np.linalg.lstsq(np.column_stack((e_y[1:-1], e_y[:-2])), e_y[2:], rcond=None)[0]
+    decay = np.log(np.abs(np.roots([1, *-recurrence]))) / dt
+    np.testing.assert_allclose(decay, held_abscissa(PAPER_VEHICLE, GAINS[gains], speed, turn_rate, dt, lag), rtol=3e-3)
+
+
+def test_the_page_says_where_the_held_loop_is_unstable():
+    slow, cruise = (
+        np.array([*held_growth(gains, of).values()]) for gains, of in (("paper", "slow"), ("cruise", "cruise"))
+    )
+    assert max(slow[:, :4].max(), cruise[:, :4].max()) < 0  # lags of the storms, up to 0.36 s
+    assert slow[:2, 4].max() < 0 < slow[2, 4]  # 0.6 s
+    assert cruise[:, 4].max() < 0
+    assert slow[:, 5].min() > 0  # 1 s
+    assert cruise[:2, 5].max() < 0 < cruise[2, 5]
+    assert min(slow[:, 6].min(), cruise[:, 6].min()) > 0  # 2 s
