@@ -18,7 +18,7 @@ from scipy import stats
 from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.namespaces import Array, Indices
 from baselines.identification.fit import Identified
-from baselines.identification.log import Log, slices, unwrapped
+from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, slices, unwrapped
 from baselines.identification.model import LOG_STATES, PREDICTION_TIME, LogModel
 
 PREDICTORS = ("model", "Nomoto", "constant velocity")
@@ -30,6 +30,7 @@ _STEPS = 6  # Gauss-Newton steps to an initial state
 _BINS = 12  # intervals of the horizon in which a band is constant
 _FEWEST = 8  # least number of predictions for a band
 _EXECUTE = 0.8  # share of the largest command from which a command counts as an execute to one side
+_MARGIN, _NOISE = 0.05, 3.0  # share of the largest value, and of the noise, that are allowed beyond the range of a fit
 _ZIG_ZAG = 0.6  # least share of the rows after the first execute with an execute, in a zig-zag
 
 
@@ -74,6 +75,16 @@ class Manoeuvre:
 
 
 @dataclass(frozen=True)
+class Extrapolation:
+    """A quantity that leaves the range of the fit in a held-out run."""
+
+    run: int
+    name: str  # of a column; "|r|" for the magnitude of r
+    reached: tuple[float, float]  # least and largest value in the run
+    fitted: tuple[float, float]  # the same in the logs of the fit
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Errors of predictions of held-out runs."""
 
@@ -85,6 +96,7 @@ class HeldOut:
     bands: Array | None  # half widths along the horizon, shape (_BINS, 6); None if there are too few predictions
     manoeuvres: tuple[Manoeuvre, ...]
     outputs: Array  # predictions from the first measurements of each run, shape (T, 6)
+    extrapolations: tuple[Extrapolation, ...]
 
     @property
     def rms(self) -> dict[str, tuple[float, float, float]]:
@@ -135,7 +147,39 @@ def held_out(identified: Identified, log: Log) -> HeldOut:
     runs = np.searchsorted(log.starts, rows, side="right") - 1
     outputs = predictors[0](np.array(log.starts))
     bands, manoeuvres = _error_bands(identified, windows), _manoeuvres(log, outputs)
-    return HeldOut(log, windows, age, runs, errors, bands, manoeuvres, outputs)
+    beyond = extrapolations(train, log, identified.noise)
+    return HeldOut(log, windows, age, runs, errors, bands, manoeuvres, outputs, beyond)
+
+
+def extrapolations(train: Log, log: Log, noise: Array) -> tuple[Extrapolation, ...]:
+    """Return the speeds, yaw rates and commands of held-out runs that are beyond those of the fit.
+
+    Sway, yaw and rudder count by magnitude, since the equations are the same to both sides.
+
+    Args:
+        train: the logs of the fit.
+        log: the held-out runs, with commands of the same kind.
+        noise: standard deviations of x, y, psi, u, v, r, shape (6,).
+    """
+    fitted, result = _ranges(train, slice(None)), []
+    for k, run in enumerate(log.runs):
+        for (name, reached), sigma in zip(_ranges(log, run).items(), (*noise[3:], 0.0, 0.0), strict=True):
+            low, high = fitted[name]
+            margin = _MARGIN * max(abs(low), abs(high)) + _NOISE * float(sigma)
+            if not low - margin <= reached[0] <= reached[1] <= high + margin:
+                result.append(Extrapolation(k, name, reached, (low, high)))
+    return tuple(result)
+
+
+def _ranges(log: Log, rows: slice) -> dict[str, tuple[float, float]]:
+    """Return the least and the largest speeds, yaw rate and commands in some rows, by name."""
+    names, values = (*MEASURED_COLUMNS[3:], *CONTROLS[log.kind]), (*log.measured[rows, 3:].T, *log.commands[rows].T)
+    ahead = "u", CONTROLS[log.kind][0]
+    columns = {
+        name if name in ahead else f"|{name}|": x if name in ahead else np.abs(x)
+        for name, x in zip(names, values, strict=True)
+    }
+    return {name: (float(x.min()), float(x.max())) for name, x in columns.items()}
 
 
 def _ages(log: Log, starts: Indices) -> Array:

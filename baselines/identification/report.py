@@ -16,7 +16,7 @@ from baselines.identification.files import interval, meanings, number
 from baselines.identification.fit import KNOWN, LEFT_OUT
 from baselines.identification.log import CONTROLS, MEASURED_COLUMNS, Log, unwrapped
 from baselines.identification.model import LIMIT_NAMES, is_current
-from baselines.identification.prediction import HeldOut
+from baselines.identification.prediction import Extrapolation, HeldOut
 from baselines.identification.uncertainty import NORMAL_QUANTILE
 from baselines.tools.figure_style import COLOURS, panels, styled, to_png
 
@@ -182,6 +182,14 @@ def _held_out(result: HeldOut) -> Drawing:
     return figure
 
 
+def _extrapolation(beyond: Extrapolation) -> str:
+    (low, high), (least, most) = beyond.reached, beyond.fitted
+    return (
+        f"Run {beyond.run + 1}: {beyond.name} is {low:.3g} to {high:.3g} {QUANTITIES[beyond.name.strip('|')]}, in the "
+        f"fit {least:.3g} to {most:.3g}: this prediction is an extrapolation."
+    )
+
+
 def held_out_text(result: HeldOut, name: str) -> str:
     """Return the errors of predictions of held-out runs with a name, in Markdown."""
     w = result.windows
@@ -195,6 +203,7 @@ def held_out_text(result: HeldOut, name: str) -> str:
             f"{w.horizon:.3g} s. A new one begins every {w.settle:.3g} s. Errors are root mean squares over that time. "
             "For comparison: a first-order Nomoto model of the yaw rate with constant speed, and constant velocities."
         ),
+        *map(_extrapolation, result.extrapolations),
         _table(errors),
     ]
     if result.bands is None:

@@ -29,7 +29,8 @@ from baselines.identification.least_squares import Residuals
 from baselines.identification.linear_fit import regressors
 from baselines.identification.log import joined
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LogModel, WindDrag, wind_load
-from baselines.identification.prediction import constant_velocity, nomoto
+from baselines.identification.prediction import HeldOut, Windows, constant_velocity, extrapolations, nomoto
+from baselines.identification.report import held_out_text
 from baselines.identification.trials import EXAMPLE_ACTUATORS, EXAMPLE_CURRENT, Simulated, Trial, example, recorded
 from baselines.identification.uncertainty import covariance, whiteness
 from baselines.tools.command_line import run
@@ -224,6 +225,36 @@ def test_simple_predictions_are_exact_for_a_vehicle_that_obeys_them():
     turning, steady = log_of(r), log_of(0 * r + 0.1)
     np.testing.assert_allclose(nomoto(turning, turning, starts, 10.0), turning.measured, atol=1e-9)
     np.testing.assert_allclose(constant_velocity(steady, starts, 10.0), steady.measured, atol=1e-9)
+
+
+def scaled(log, factor, turn=1.0):
+    """Return a log with `factor` times the lengths, speeds and surge commands, and `turn` times the yaw commands."""
+    measured = log.measured * (factor, factor, 1.0, factor, factor, 1.0)
+    return replace(log, measured=measured, commands=log.commands * (factor, turn))
+
+
+def test_runs_beyond_the_fit_are_named(log):
+    """Ahead and astern differ, port and starboard do not."""
+
+    def beyond(*runs):
+        return [(e.run, e.name) for e in extrapolations(log, joined(runs), np.array(NOISE.noise))]
+
+    assert beyond(log, scaled(log, 0.9), scaled(log, 1.03)) == []  # within the margin
+    assert beyond(log, scaled(log, 1.5)) == [(1, "u"), (1, "|v|"), (1, "F_u")]
+    assert beyond(scaled(log, -0.9)) == [(0, "u"), (0, "F_u")]  # astern
+    assert beyond(log, log, scaled(log, 1.0, 1.4)) == [(2, "|F_r|")]
+    mirrored = replace(log, measured=log.measured * (1, -1, -1, 1, -1, -1), commands=log.commands * (1, -1))
+    assert beyond(mirrored) == []
+    (_, found) = extrapolations(log, scaled(log, -0.9), np.array(NOISE.noise))
+    assert found.fitted == (log.commands[:, 0].min(), log.commands[:, 0].max())
+    assert found.reached == pytest.approx((-0.9 * found.fitted[1], -0.9 * found.fitted[0]))
+    one, none = np.zeros((1, 6)), np.zeros(1, dtype=np.int64)
+    result = HeldOut(log, Windows(15.0, 60.0), np.zeros(1), none, {"model": one}, None, (), one, (found,))
+    low, high = found.fitted
+    expected = (
+        f"Run 1: F_u is {-0.9 * high:.3g} to {-0.9 * low:.3g} N, in the fit {low:.3g} to {high:.3g}: this prediction"
+    )
+    assert f"{expected} is an extrapolation." in held_out_text(result, "log")
 
 
 def test_related_residuals_widen_the_intervals():

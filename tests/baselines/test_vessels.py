@@ -125,9 +125,13 @@ def test_the_command_predicts_held_out_runs(log, fitted, tmp_path, monkeypatch, 
     for k, rows in enumerate(log.runs):
         Log(log.t[rows], log.measured[rows], log.commands[rows], log.kind, log.wind[rows]).save(f"{k}.csv")
     known = [f"{name}={value}" for name, value in MASSES.items()]
-    arguments = ["0.csv", "1.csv", "--known", *known, "--still-water", "--holdout", "2.csv", "3.csv", "--out", "out"]
+    sailed(7, 15, 20, 15).save("fast.csv")
+    arguments = ["0.csv", "1.csv", "--known", *known, "--still-water", "--holdout", "2.csv", "fast.csv", "--out", "out"]
     assert run(main, PROGRAM, arguments) == 0
-    assert "| Nomoto |" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "| Nomoto |" in printed
+    assert "Run 2: revolutions is 15 to 19.5 1/s, in the fit 7 to 13: this prediction is an extrapolation." in printed
+    assert "Run 1: " not in printed
     text = Path("out/report.md").read_text(encoding="utf-8")
     assert text.startswith("# The vehicle in 0.csv, 1.csv")
     assert "## Held-out runs" in text
