@@ -6,7 +6,7 @@ The runs are in `LOG_FOLDER`, with one folder for each source; docs/validation.m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,8 @@ LOG_FOLDER = Path("runs/logs")
 _NAMES = {"kvlcc2-hsva": "KVLCC2", "esso-osaka": "Esso Osaka"}
 _NOTES = {
     "kvlcc2-hsva": (
-        "The bands of the heading are too narrow: each run has its own rudder angle, so a run that is left out is "
-        "often outside of the range of the others. The largest errors are those of the largest angle, `Z_35_05`, and "
-        "of a run that begins to port, `Z_20_10_P`."
+        "The bands of the heading are too narrow. The largest errors are those of the largest rudder angle, `Z_35_05`, "
+        "which is beyond the angles of the other runs, and of a run that begins to port, `Z_20_10_P`."
     ),
     "esso-osaka": (
         "Runs with random commands were left out before: their propeller turns astern, which the equations do not "
@@ -77,6 +76,10 @@ def context(_: str = "") -> dict[str, Any]:
     return {
         "goals": [(what, measured, goal, "yes" if met else "no") for what, measured, goal, met in goals],
         "met": sum(met for *_, met in goals),
+        "better": {
+            _NAMES[name]: [_better(record, key) for key in ("heading_deg", "median_heading_deg")]
+            for name, record in records.items()
+        },
         "vessels": [_vessel(name, record) for name, record in records.items()],
         "sea": _sea(values[SNAPIR,]),
     }
@@ -90,12 +93,10 @@ def heading(rows: Iterable[Mapping[str, float]]) -> float:
 
 def _vessel(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the page shows of a vessel."""
+    forms = {"heading_deg": ".1f", "speed_m_s": ".3f", "place_m": ".2f"}
 
-    def errors(rows: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
-        return [
-            (what, f"{row['heading_deg']:.1f}", f"{row['speed_m_s']:.3f}", f"{row['place_m']:.2f}")
-            for what, row in rows.items()
-        ]
+    def both(row: Mapping[str, float], key: str) -> str:
+        return f"{row[key]:{forms[key]}} ({row[f'median_{key}']:{forms[key]}})"
 
     manoeuvres = []
     for kind in dict.fromkeys(m["name"] for m in record["manoeuvres"]):
@@ -110,14 +111,45 @@ def _vessel(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
         **{key: record[key] for key in ("runs", "folds", "misfit")},
         "name": _NAMES[name],
         "minutes": f"{record['minutes']:.0f}",
-        "note": _NOTES[name],
+        "note": _NOTES[name] + _unstable(record["straight_growth_1_s"]),
         "known": ", ".join(f"{key} {value:.4g}" for key, value in VESSELS[name].known.items()),
-        "predictors": errors(record["rms"]),
-        "by_run": errors({f"`{run}`": row for run, row in record["by_run"].items()}),
+        "predictors": [(what, *(both(row, key) for key in forms)) for what, row in record["rms"].items()],
+        "after": [
+            (what, *(both(row, "heading_deg") for row in times.values())) for what, times in record["after"].items()
+        ],
+        "times": [f"after {time} s, {row['runs']} runs" for time, row in record["after"]["model"].items()],
+        "by_run": [
+            (
+                f"`{run}`",
+                both(row, "heading_deg"),
+                both(row["Nomoto"], "heading_deg"),
+                both(row, "speed_m_s"),
+                both(row, "place_m"),
+                ", ".join(name.strip("|") for name in row["beyond"]) or "-",
+            )
+            for run, row in record["by_run"].items()
+        ],
         "inside": ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(_CHANNELS, record["inside"], strict=True)),
         "manoeuvres": manoeuvres,
         "image": f"validation-{name}.png",
     }
+
+
+def _better(record: Mapping[str, Any], key: str) -> str:
+    """Return in how many runs of a vessel an error of the model is smaller than that of the Nomoto model."""
+    runs = record["by_run"].values()
+    return f"{sum(row[key] < row['Nomoto'][key] for row in runs)} of {len(runs)}"
+
+
+def _unstable(growth: Sequence[float]) -> str:
+    """Return what an unstable ship does to a prediction, for the growth [1/s] in each fit; "" if it is stable."""
+    rate = float(np.median(growth))
+    says = (
+        f" The ship is directionally unstable: on a straight line a small yaw rate grows by {rate:.3f} 1/s in the "
+        f"fitted models (median), by a factor of {math.exp(60 * rate):.0f} in 60 s. So a prediction amplifies the "
+        "error of its initial state."
+    )
+    return says if rate > 0 else ""
 
 
 def _sea(record: Mapping[str, Any]) -> dict[str, Any]:

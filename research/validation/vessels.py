@@ -10,14 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.namespaces import Array
 from baselines.identification import Identified, Log, identify
 from baselines.identification.columns import Format
 from baselines.identification.log import joined
-from baselines.identification.model import is_current, names_of
+from baselines.identification.model import COEFFICIENTS, is_current, load_of, names_of
 from baselines.identification.prediction import PREDICTORS, HeldOut, held_out, rms
 
 BIN, BINS = 10.0, 6
 """Length [s] and number of the parts of a prediction of which errors are recorded."""
+TIMES = (20.0, 40.0, 60.0)
+"""Times [s] after the start of a prediction at which errors are recorded, each for the second that ends there."""
+_STEP = 1e-5  # half width of central differences, in SI units
 
 
 @dataclass(frozen=True)
@@ -79,26 +84,39 @@ def cross_validated(name: str, folder: Path) -> dict[str, Any]:
         found = fitted_vessel(name, [log for run, log in logs.items() if run not in out])
         results.append((out, found, held_out(found, joined([logs[run] for run in out]))))
         print(f"{name}: {', '.join(out)}: {math.degrees(results[-1][2].rms['model'][0]):.2f} degrees", flush=True)
-    runs = {
-        out[run]: [result.errors["model"][result.run == run]] for out, _, result in results for run in range(len(out))
-    }
     every = {
         predictor: np.concatenate([result.errors[predictor] for *_, result in results]) for predictor in PREDICTORS
     }
     ages = np.concatenate([result.age for *_, result in results])
+    names = np.concatenate([np.array(out)[result.run] for out, _, result in results])
+    beyond = [(out[e.run], e.name) for out, _, result in results for e in result.extrapolations]
     bins = np.minimum((ages / BIN).astype(np.int64), BINS - 1)
+    late = {time: (ages > time - 1.0) & (ages <= time) for time in TIMES}
     return {
         "runs": len(logs),
         "minutes": sum(log.duration for log in logs.values()) / 60,
         "misfit": sum(found.misfit for _, found, _ in results),
         "folds": folds,
-        "rms": {predictor: _rms(rows) for predictor, rows in every.items()},
+        "straight_growth_1_s": [straight_growth(found) for _, found, _ in results],
+        "rms": {predictor: _sizes(rows) for predictor, rows in every.items()},
         "inside": np.concatenate([result.inside for *_, result in results]).mean(axis=0).tolist(),
         "growth_deg": {
-            predictor: [_rms(rows[bins == k])["heading_deg"] for k in np.unique(bins)]
+            predictor: [_sizes(rows[bins == k])["heading_deg"] for k in np.unique(bins)]
             for predictor, rows in every.items()
         },
-        "by_run": {run: _rms(rows[0]) for run, rows in sorted(runs.items()) if len(rows[0])},
+        "after": {
+            predictor: {
+                f"{time:g}": _sizes(rows[at]) | {"runs": len(np.unique(names[at]))}
+                for time, at in late.items()
+                if at.any()
+            }
+            for predictor, rows in every.items()
+        },
+        "by_run": {
+            str(run): _sizes(every["model"][names == run])
+            | {"Nomoto": _sizes(every["Nomoto"][names == run]), "beyond": [name for of, name in beyond if of == run]}
+            for run in np.unique(names)
+        },
         "manoeuvres": [
             {"run": out[m.run], "name": m.name, "measured": m.measured, "predicted": m.predicted}
             for out, _, result in results
@@ -107,6 +125,35 @@ def cross_validated(name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def _rms(errors: Any) -> dict[str, float]:
+def straight_growth(found: Identified) -> float:
+    """Return the largest real part [1/s] of the eigenvalues of sway and yaw of a fitted vessel on a straight line.
+
+    It is positive for a directionally unstable vessel. Speed and propeller command are the medians of the log. The
+    rudder is amidships, and there is no wind.
+    """
+    log, named = found.model.log, dict(zip(found.model.names, found.values.tolist(), strict=True))
+    u, ahead = float(np.median(log.measured[:, 3])), float(np.median(log.commands[:, 0]))
+    coefficients = [named[name] for name in COEFFICIENTS]
+
+    def change(v: float, r: float) -> Array:
+        load = load_of(log.kind, (ahead, 0.0), (0.0, 0.0, 0.0, u, v, r), named, math)
+        return np.array(rates(0.0, u, v, r, load, coefficients)[3:])
+
+    steps = _STEP * np.eye(2)
+    slopes = [(change(*e) - change(*-e)) / (2 * _STEP) for e in steps]
+    return float(np.linalg.eigvals(np.column_stack(slopes)).real.max())
+
+
+def _sizes(errors: Array) -> dict[str, float]:
+    """Return root mean squares and medians of the magnitude of prediction errors, shape (n, 6)."""
     psi, u, place = rms(errors)
-    return {"points": len(errors), "heading_deg": math.degrees(psi), "speed_m_s": u, "place_m": place}
+    median_psi, median_u = np.median(np.abs(errors[:, 2:4]), axis=0).tolist()
+    return {
+        "points": len(errors),
+        "heading_deg": math.degrees(psi),
+        "speed_m_s": u,
+        "place_m": place,
+        "median_heading_deg": math.degrees(median_psi),
+        "median_speed_m_s": median_u,
+        "median_place_m": float(np.median(np.hypot(errors[:, 0], errors[:, 1]))),
+    }

@@ -9,6 +9,7 @@ import pytest
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from baselines.control.linearisation import error_dynamics
 from baselines.identification import identify
 from baselines.identification.trials import example
 from research.validation import navigation, predictions, vessels
@@ -80,6 +81,12 @@ def test_every_run_is_predicted_once_by_a_model_of_the_others(monkeypatch):
     assert record["misfit"] == 0
     for name, row in record["rms"].items():
         assert row["points"] == sum(own["points"] for own in record["by_run"].values()), name
+    u = float(np.median(logs["a"].measured[:, 3]))
+    lateral = np.linalg.eigvals(error_dynamics(found.vehicle(), u, 0.0, 0.0)[0][4:, 4:])
+    assert record["straight_growth_1_s"] == pytest.approx([lateral.real.max()] * 3, rel=1e-6)
+    for run, row in record["by_run"].items():
+        assert row["beyond"] == [], run
+        assert row["median_heading_deg"] < row["Nomoto"]["median_heading_deg"]
     model, steady = (record["rms"][name]["heading_deg"] for name in ("model", "constant velocity"))
     assert model < 0.1 * steady
     assert record["growth_deg"]["model"][0] < record["growth_deg"]["constant velocity"][3]
