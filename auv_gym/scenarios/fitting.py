@@ -7,12 +7,14 @@ quantities do not change. For the vehicle of the paper all factors are 1.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.intervals import check_number
@@ -71,6 +73,48 @@ def changed(
         steps = round(scenario.duration / control_dt)
         scenario = _integrable(scenario, control_dt=float(control_dt), steps=steps)
     return scenario
+
+
+@dataclass(frozen=True)
+class Sea:
+    """Current and waves in place of those of scenarios.
+
+    Raises:
+        ValueError: a number is out of bounds.
+    """
+
+    current: tuple[float, float] | None = None  # [m/s] least and largest mean speed; None: that of each scenario
+    waves: float | None = None  # factor of the forces of the waves; None: 1
+
+    def __post_init__(self) -> None:
+        RandomCurrent(self.current or 0.0)  # raises
+        if self.waves is not None:
+            check_number("waves", self.waves, 0, 10)
+
+    def of(self, scenario: Scenario) -> Scenario:
+        """Return a scenario in this sea, with "-sea" in its name; unchanged if both entries are None.
+
+        Every scenario has the current, in random directions, and is not limited by its `cap`. Gusts and shear, which
+        are shares of the path speed, keep their speeds at the mean path speed. Waves act where the scenario has waves.
+        """
+        if self == Sea():
+            return scenario
+        name, at, vehicle = scenario.name.partition("@")
+        current, waves, speed = scenario.current or RandomCurrent(), scenario.waves, scenario.path.speed
+        if self.current is not None:
+            unit = (sum(speed) / 2 if isinstance(speed, tuple) else speed) if current.relative else 1.0
+            gust, shear = current.gust * unit, scaled(current.shear, unit)
+            current = replace(current, speed=self.current, relative=False, cap=math.inf, gust=gust, shear=shear)
+        if waves is not None and self.waves is not None:
+            forces = {axis: getattr(waves, axis) * self.waves for axis in ("surge", "sway", "yaw")}
+            waves = replace(waves, **forces) if self.waves else None
+        none = self.current == (0.0, 0.0) or (self.current is None and scenario.current is None)
+        return _integrable(scenario, name=f"{name}-sea{at}{vehicle}", current=None if none else current, waves=waves)
+
+    def in_paper_units(self, vehicle: Vehicle) -> Sea:
+        """Return the sea in units in which mass, length and design speed of a vehicle are those of the paper."""
+        speed = Units.of(vehicle).factor(length=1, time=-1)
+        return replace(self, current=self.current and (self.current[0] / speed, self.current[1] / speed))
 
 
 def check_adaptable(scenario: Scenario) -> None:
@@ -194,6 +238,7 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
         scenario,
         path=replace(scaled_part("path", path, back), turn_rate=path.turn_rate * units.time),
         vehicle=in_paper_units(scenario.vehicle),
+        model=scenario.model and scenario.model.in_paper_units,
         waves=waves,
         mismatch=mismatch,
         actuators=actuators_in(units, scenario.actuators),

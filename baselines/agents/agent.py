@@ -47,6 +47,7 @@ ENTRIES = (
     "training",
 )  # fmt: skip
 """The entries of agent.json."""
+WHOLE_MODEL = "whole_model"  # entry of an agent with this property
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Agent:
     scenarios: tuple[str, ...] = ()  # names of the training scenarios
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
     inputs: Inputs = STANDARD
+    whole_model: bool = False  # the expert is made for limits and lag of the vehicle too, not for its parameters only
 
     def __post_init__(self) -> None:
         if self.network.inputs != (features := len(self.inputs.features)):
@@ -76,15 +78,15 @@ class Agent:
         """Return the policy: expert plus correction of the network.
 
         Args:
-            vehicle: nominal model of the expert, and an input of a network with `Inputs.nominal_vehicle`. None: the
-                paper's.
+            vehicle: nominal model of the expert, see `whole_model`, and an input of a network with
+                `Inputs.nominal_vehicle`. None: the paper's.
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:
             ValueError: see `make_expert`.
         """
         known = as_vehicle(vehicle or PAPER_VEHICLE)
-        expert = make_expert(self.expert, vehicle=known)
+        expert = make_expert(self.expert, vehicle=vehicle if self.whole_model else known)
         ranges = {name.partition("-")[0] for name in self.scenarios}
         speeds = _SPEEDS[ranges.pop()] if len(ranges) == 1 and ranges <= set(_SPEEDS) else (0.0, math.inf)
         network = self.network, self.weights, self.authority
@@ -127,6 +129,7 @@ class Agent:
             "scenarios": list(self.scenarios),
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
             "training": dict(self.training),
+            **({WHOLE_MODEL: True} if self.whole_model else {}),
         }
 
     @classmethod
@@ -151,6 +154,7 @@ class Agent:
                 tuple(record["scenarios"]),
                 record["training"],
                 from_record(Inputs, record["inputs"], "inputs"),
+                record.get(WHOLE_MODEL, False),
             )
 
 
@@ -162,12 +166,13 @@ def check_expert(name: Any) -> None:
         raise ValueError(f"expert {name!r} needs full information; choose one that uses the observation only")
 
 
-def make_expert(name: str, vehicle: Vehicle | None = None) -> Policy:
+def make_expert(name: str, vehicle: Vehicle | VehicleModel | None = None) -> Policy:
     """Return the expert of a name: a controller, an agent, or for `NO_EXPERT` a policy whose action is zero.
 
     Args:
         name: of the policy.
-        vehicle: nominal model of the policy. None: the paper's.
+        vehicle: nominal model of the policy; gains depend on the limits and the lag of a `VehicleModel`.
+            None: the paper's.
 
     Raises:
         ValueError: the name is unknown, or the policy may not be an expert: a path, or one that needs full information.
@@ -187,7 +192,7 @@ def feature_layout(inputs: Inputs) -> list[list[str]]:
 
 def _checked_record(record: Any) -> dict[str, Any]:
     """Return an agent's description; raise ValueError if it is damaged or of another version."""
-    if not isinstance(record, dict) or set(record) != set(ENTRIES):
+    if not isinstance(record, dict) or set(record) - {WHOLE_MODEL} != set(ENTRIES):
         raise ValueError(f"{AGENT_FILE} must have the entries {', '.join(ENTRIES)}, and no others")
     if record["format"] != _FORMAT:
         raise ValueError(f"its format is {record['format']!r}; this version reads {_FORMAT}")
@@ -195,6 +200,8 @@ def _checked_record(record: Any) -> dict[str, Any]:
     for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
         if record[name] != layout:
             raise ValueError(f"it was trained with other {name} than those of this version; train it again")
+    if record.get(WHOLE_MODEL, True) is not True:
+        raise ValueError(f"{AGENT_FILE}: {WHOLE_MODEL} must be true, or be left out")
     if not isinstance(record["training"], dict):
         raise ValueError(f"{AGENT_FILE}: training must be a table")
     if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):

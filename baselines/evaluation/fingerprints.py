@@ -32,7 +32,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Law, Policy, traceable
-from baselines.agents.agent import AGENT_FILE, WEIGHTS
+from baselines.agents.agent import AGENT_FILE, WEIGHTS, WHOLE_MODEL
 from baselines.agents.names import COMMAND, PolicyName
 from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
@@ -131,7 +131,8 @@ def _data(name: PolicyName) -> list[str | bytes]:
             return [repr(sorted(entry.options.items())), json.dumps(numbers_of(base))] if entry else []
         if name.folder is not None:
             record = json.loads((name.folder / AGENT_FILE).read_bytes())
-            description = json.dumps({key: record.get(key) for key in AGENT_KEYS}, sort_keys=True)
+            keys = *AGENT_KEYS, *(key for key in (WHOLE_MODEL,) if key in record)
+            description = json.dumps({key: record.get(key) for key in keys}, sort_keys=True)
             expert = [] if record["expert"] == NO_EXPERT else _data(PolicyName.of(record["expert"]))
             return [(name.folder / WEIGHTS).read_bytes(), description, *expert]
     except OSError:

@@ -16,11 +16,13 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import Sea
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.records import meant, read_table, table_file
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
+from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.request import checked_scenario, import_effects
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
@@ -31,8 +33,13 @@ from baselines.training.run_folder import LOCK, read_config
 from baselines.training.train import TrainingRequest, train_all
 
 PROGRAM = "train.py"
-DEFAULTS: Mapping[str, Any] = {"timesteps": 1_000_000, "expert": EXPERT, "authority": 0.5}
-"""Values of these options if neither the command line nor the file of hyper-parameters has them."""
+BASE_AGENT = "helm-any"  # shipped agent that a training for a vehicle starts from
+VEHICLE_EXPERT = "los-pid"
+"""Expert of a new network for a vehicle: its gains depend on limits and lag, and it follows waves that weak fins cannot
+resist, where `EXPERT` diverges."""
+DEFAULTS: Mapping[str, Any] = {"timesteps": 1_000_000, "expert": None, "authority": 0.5}
+"""Values of these options if neither the command line nor the file of hyper-parameters has them; for the expert None
+is `EXPERT`, or `VEHICLE_EXPERT` for a vehicle."""
 DEFAULT_SCENARIO = ("cruise",)  # of `--scenario`
 FINE_TUNING_METHOD = "fine-tuning"
 """Name of the file of the hyper-parameters that differ from those of an agent's own training, if it is trained
@@ -56,16 +63,25 @@ class Options:
     both speed ranges and actuators with a rate limit, as the agent of that name.
     Default: cruise, or the scenarios of the initial agent."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
-    """Name of the policy that is corrected; "none" for an agent without an expert. Default: backstepping."""
+    """Name of the policy that is corrected; "none" for an agent without an expert. Default: backstepping,
+    or los-pid with --vehicle."""
     authority: Annotated[tuple[float, ...], arg(metavar="A [A]", help_behavior_hint="")] = ()
     """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]; one number for
     both. Default: from the hyper-parameters."""
     from_: Annotated[str | None, arg(name="from", metavar="AGENT", help_behavior_hint="")] = None
     """Initial agent, by name or folder, such as "helm". Its weights, network, inputs, expert and authority are used in
-    a short training with small learning rates. Default: a new network, whose correction is zero."""
+    a short training with small learning rates. "none" for a new network, whose correction is zero. Default: none; with
+    --vehicle and neither --algo nor --expert helm-any."""
     vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
     """Vehicle to train for, a published one by name or a .toml file. The scenarios are adapted to it. Scenarios that
-    are too slow for its fins are left out."""
+    are too slow for its fins are left out. At the end the agent is compared with controllers on storms."""
+    current: Annotated[tuple[float, float] | None, arg(metavar="LO HI", help_behavior_hint="")] = None
+    """Least and largest current of the sea of the vehicle [m/s], in all scenarios. Default: shares of the
+    path speed."""
+    waves: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")] = None
+    """Factor of the forces of the waves in the scenarios; 0 for none. Default: 1."""
+    no_compare: bool = False
+    """With --vehicle: leave out the comparison at the end."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
     """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     seed: int = 0
@@ -139,13 +155,17 @@ def configurations(options: Options) -> tuple[Config, ...]:
     if options.algo not in ALGORITHMS:
         hint = meant(options.algo, ALGORITHMS)
         raise ValueError(f"unknown algorithm {options.algo!r}{hint}; allowed are {', '.join(ALGORITHMS)}")
-    initial = None if options.from_ is None else InitialAgent.of(options.from_)
+    start = _start(options)
+    initial = None if start is None else InitialAgent.of(start)
     if initial and options.algo != ALGO:
         raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
+    if options.vehicle is None and Sea(options.current, options.waves) != Sea():
+        raise ValueError("--current and --waves are those of a vehicle's sea; name it with --vehicle")
     values = read_hyperparameters(options.hyperparameters or shipped(FINE_TUNING_METHOD if initial else options.algo))
     timesteps, expert, authority = (values.pop(name, default) for name, default in DEFAULTS.items())
     values |= (changes := changes_of(options.set))
-    expert, authority = options.expert or expert, options.authority or authority
+    expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle else EXPERT)
+    authority = options.authority or authority
     if initial:
         initial.check(options.expert, options.authority, changes)
         values = {**initial.config.hyperparameters, **values}
@@ -161,6 +181,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
         values,
         initial.origin if initial else None,
         vehicle,
+        initial.agent.whole_model if initial else any(scenario.model for scenario, _ in scenarios),
     )
     configs = tuple(replace(first, seed=first.seed + i) for i in range(options.seeds))
     check(first)
@@ -213,6 +234,13 @@ def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
     return [f"{name}={json.dumps(value, separators=(',', ':'))}" for name, value in changes.items()]
 
 
+def _start(options: Options) -> str | None:
+    """Return the agent that a training starts from, None for a new network."""
+    if options.from_ is None and options.vehicle and options.algo == ALGO and options.expert is None:
+        return BASE_AGENT
+    return None if options.from_ == NO_EXPERT else options.from_
+
+
 def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
     """Return the training scenarios and the vehicle in whose units they are; note left-out scenarios on stderr."""
     if initial and not options.scenario:
@@ -227,6 +255,8 @@ def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture,
             mixture, reasons = fitted(mixture, vehicle_model)
             if reasons:
                 print(f"note: {len(reasons)} scenarios are left out: {reasons[0]}", file=sys.stderr)
+        sea = Sea(options.current, options.waves)
+        mixture = tuple((sea.of(scenario), weight) for scenario, weight in mixture)
     return in_own_units(mixture)
 
 
@@ -261,10 +291,13 @@ def _split(word: str) -> tuple[str, float]:
 
 def _name(options: Options) -> str:
     """Return the default name of a run's folder."""
-    words = options.scenario or (() if options.from_ else DEFAULT_SCENARIO)
+    start = _start(options)
+    words = options.scenario or (() if start else DEFAULT_SCENARIO)
     scenarios = "-".join(Path(_split(word)[0]).stem for word in words)
-    parts = Path(options.from_).name if options.from_ else options.algo, scenarios, Path(options.vehicle or "").stem
-    return "-".join(part for part in parts if part)
+    current = () if options.current is None else ("current", *options.current)
+    waves = () if options.waves is None else ("waves", options.waves)
+    parts = Path(start).name if start else options.algo, scenarios, Path(options.vehicle or "").stem, *current, *waves
+    return "-".join(str(part) for part in parts if part != "")
 
 
 def _holds(config: Config, folder: Path, resume: bool) -> bool:

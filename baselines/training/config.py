@@ -12,6 +12,7 @@ from typing import Any
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.records import from_record
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT
@@ -57,6 +58,7 @@ class Config:
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)  # of the algorithm, plain JSON values
     origin: Origin | None = None  # the initial agent; None: a new network, whose correction is zero
     steers: Vehicle | None = None  # vehicle in SI units in whose units the scenarios are; None: the paper's
+    whole_model: bool = False  # see `baselines.agents.agent.Agent`
 
     def __post_init__(self) -> None:
         if self.algo not in ALGORITHMS:
@@ -65,6 +67,8 @@ class Config:
         object.__setattr__(self, "authority", checked_authority(self.authority))
         for name, least, most in (("seed", 0, LARGEST_SEED), ("timesteps", 1, 10**12)):
             check_integer(name, getattr(self, name), least, most)
+        if not isinstance(self.whole_model, bool):
+            raise ValueError(f"whole_model is {self.whole_model!r}; it must be true or false")
         try:
             json.dumps(dict(self.hyperparameters), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -73,12 +77,19 @@ class Config:
 
     def make_expert(self) -> Policy:
         """Return the policy whose action is corrected; raises as `baselines.agents.agent.make_expert`."""
-        return make_expert(self.expert, vehicle=self.vehicle)
+        return make_expert(self.expert, vehicle=self.known)
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The nominal vehicle of all scenarios and of the expert, in their units; None if they differ."""
+        """The nominal vehicle of all scenarios, in their units; None if they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
+
+    @property
+    def known(self) -> Vehicle | VehicleModel | None:
+        """What the expert is made for: `vehicle`, with its limits and lag if `whole_model`."""
+        known = self.scenarios[0][0].known
+        same = all(scenario.known == known for scenario, _ in self.scenarios)
+        return known if self.whole_model and same else self.vehicle
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,7 +119,8 @@ class Config:
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain dicts, lists, numbers and strings."""
         record = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        record["scenarios"] = [{"weight": weight, "scenario": s.to_dict()} for s, weight in self.scenarios]
+        own = [(s.record if self.whole_model else s.to_dict(), weight) for s, weight in self.scenarios]
+        record["scenarios"] = [{"weight": weight, "scenario": scenario} for scenario, weight in own]
         record["authority"] = list(self.authority)
         for name in ("origin", "steers"):
             record[name] = None if record[name] is None else dataclasses.asdict(record[name])

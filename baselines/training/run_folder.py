@@ -147,7 +147,7 @@ class RunFolder:
             agent: the current one.
             timesteps: see `log`.
         """
-        verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=VALIDATION_PRECISION))
+        verdict = self.validation.run(agent.policy(vehicle=self.config.known, precision=VALIDATION_PRECISION))
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, failed=verdict.failed)
         if self.validated["timesteps"] == timesteps:
             self.weights = agent.weights

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.fitting import Sea, changed
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import Scenario
@@ -68,22 +68,29 @@ class TuningResult:
     smoothness: float  # mean squared change of the command
 
 
-def tuning_scenarios(speed_range: str, world: str, vehicle_model: VehicleModel = PAPER) -> tuple[Scenario, ...]:
+def tuning_scenarios(
+    speed_range: str,
+    world: str,
+    vehicle_model: VehicleModel = PAPER,
+    sea: Sea = Sea(),  # noqa: B008, it is frozen
+) -> tuple[Scenario, ...]:
     """Return the scenarios to tune on; the episodes cycle through them in this order.
 
     Args:
         speed_range: "slow" or "cruise".
         world: "plain" for the eight cases of the speed range; "adverse" for these and as many storms with faults.
         vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
+        sea: current and waves in place of those of the scenarios, in SI units.
 
     Raises:
         ValueError: its fins have no effect at the speeds of the scenarios.
     """
     cases = tuple(PRESETS[f"{speed_range}-{case}"] for case in CASES)
     every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
-    if vehicle_model == PAPER:
+    if vehicle_model == PAPER and sea == Sea():
         return every
-    adapted = [replace(changed(s, vehicle_model.in_paper_units), name=s.name) for s in every]
+    own, sea = vehicle_model.in_paper_units, sea.in_paper_units(vehicle_model.vehicle)
+    adapted = [replace(sea.of(changed(s, own)), name=s.name) for s in every]
     return tuple(replace(s, substeps=max(other.substeps for other in adapted)) for s in adapted)
 
 
@@ -96,12 +103,19 @@ class TuningEpisodes:
         seed: episode i is drawn with seed + i.
         world: see `tuning_scenarios`.
         vehicle_model: see `tuning_scenarios`.
+        sea: see `tuning_scenarios`.
     """
 
     def __init__(
-        self, speed_range: str, episodes: int, seed: int, world: str = "plain", vehicle_model: VehicleModel = PAPER
+        self,
+        speed_range: str,
+        episodes: int,
+        seed: int,
+        world: str = "plain",
+        vehicle_model: VehicleModel = PAPER,
+        sea: Sea = Sea(),  # noqa: B008, it is frozen
     ) -> None:
-        cycle = tuning_scenarios(speed_range, world, vehicle_model)
+        cycle = tuning_scenarios(speed_range, world, vehicle_model, sea)
         self._names = [cycle[i % len(cycle)].name.removeprefix(f"{speed_range}-") for i in range(episodes)]
         self.cap = ERROR_CAPS[speed_range]
         self.steps, self.lost_distance = cycle[0].steps, cycle[0].lost_distance

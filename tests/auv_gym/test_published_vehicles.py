@@ -24,8 +24,8 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import PATHS
 from auv_gym.planning.planner import plan
-from auv_gym.scenarios.fitting import adapted, changed, in_vehicle_units
-from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.fitting import Sea, adapted, changed, in_vehicle_units
+from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, VehicleModel, as_vehicle, vehicle_model, vehicle_names
 from auv_gym.scenarios.vehicles.scaling import SCENARIO_POWERS
@@ -274,3 +274,31 @@ def test_a_scenario_of_the_vehicle_of_the_paper_does_not_change():
         assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
     with pytest.raises(ValueError, match=r"'paper-circle@lauv' has a fixed path, .*; give it random paths"):
         in_vehicle_units(changed(PRESETS["paper-circle"], "lauv"))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_sea_replaces_current_and_waves(case):
+    scenario = changed(PRESETS[f"cruise-{case}"], "lauv")
+    assert Sea().of(scenario) is scenario
+    still = Sea((0.0, 0.0), 0.0).of(scenario)
+    assert (still.current, still.waves, still.name) == (None, None, f"cruise-{case}-sea@lauv")
+    rough = Sea((0.4, 0.5), 2.0).of(scenario)
+    for seed in range(20):
+        mine, before = (s.draw(np.random.default_rng(seed)) for s in (rough, scenario))
+        assert 0.4 <= np.hypot(mine.current.V_x, mine.current.V_y) <= 0.5
+        if mine.waves is not None:
+            assert mine.waves.sway == pytest.approx(2 * before.waves.sway)
+    assert replace(rough, name="same", current=None, waves=None) == replace(
+        scenario, name="same", current=None, waves=None
+    )
+    assert (rough.waves is None) == (scenario.waves is None)
+    usual = scenario.current or RandomCurrent()
+    assert rough.current.gust == pytest.approx(usual.gust * np.mean(scenario.path.speed))
+    assert replace(rough, model=None).known == scenario.vehicle
+    assert rough.known == scenario.known
+
+
+@pytest.mark.parametrize(("entries", "message"), [({"current": (0.3, 0.1)}, "current speed"), ({"waves": -1}, "waves")])
+def test_a_wrong_sea_is_refused(entries, message):
+    with pytest.raises(ValueError, match=message):
+        Sea(**entries)

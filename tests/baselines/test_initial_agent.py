@@ -15,16 +15,29 @@ from auv_gym.physics.units import Units
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.records import to_record
 from auv_gym.scenarios.vehicles import vehicle_model
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.evaluation.cells import drawn
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
-from baselines.tools.command_line import run
+from baselines.tools.command_line import parse, run
 from baselines.training.apg.network import weights_of
 from baselines.training.apg.settings import Settings
 from baselines.training.apg.trainer import ApgTrainer
-from baselines.training.command import FINE_TUNING_METHOD, PROGRAM, main, read_hyperparameters, shipped
+from baselines.training.command import (
+    BASE_AGENT,
+    FINE_TUNING_METHOD,
+    PROGRAM,
+    Options,
+    _name,
+    configurations,
+    main,
+    read_hyperparameters,
+    shipped,
+)
+from baselines.training.config import Config
 from baselines.training.initial_agent import OF_AGENT, fitted, in_own_units
 from baselines.training.run_folder import RunFolder, read_config
 
@@ -35,7 +48,7 @@ SLOW = replace(PRESETS["slow-current"], name="slow-small", steps=15)
 TINY = {"n_envs": 8, "n_steps": 5, "hidden_size": 8, "effort_weight": 0.25, "validations": 2}
 STEPS = 160
 ROOT = Path(__file__).parents[2]
-BEGUN = ("--from", "runs/train/apg-small-slow", "--vehicle", "otter", "--timesteps", STEPS)
+BEGUN = ("--from", "runs/train/apg-small-slow", "--vehicle", "otter", "--timesteps", STEPS, "--no-compare")
 FOUND = Path("runs/train/apg-small-slow-otter")
 """The folder of that training."""
 
@@ -160,9 +173,79 @@ def test_wrong_options_give_one_line_and_create_no_files(arguments, message, cal
 
 
 def test_training_for_a_vehicle_without_an_agent(call):
-    assert call("--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40) == 0
+    words = "--from", "none", "--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40, "--no-compare"
+    assert call(*words) == 0
     config = read_config(Path("runs/train/apg-small-otter"))
     assert (config.origin, config.steers) == (None, vehicle_model("otter").vehicle)
+    assert (config.expert, config.whole_model) == ("los-pid", True)
+
+
+@pytest.mark.parametrize(("vehicle", "ranges"), [("eca-a9", {"cruise"}), ("otter", {"cruise", "slow"})])
+def test_a_vehicle_alone_is_enough(vehicle, ranges):
+    """Fine-tuning of the agent for all vehicles, in the speed ranges in which the vehicle can steer."""
+    [config] = configurations(Options(vehicle=vehicle))
+    assert config.origin.agent == BASE_AGENT
+    assert {name.partition("-")[0] for name in config.names} == ranges
+    assert config.hyperparameters["n_envs"] == read_hyperparameters(shipped(FINE_TUNING_METHOD))["n_envs"]
+    assert configurations(Options(vehicle=vehicle, expert="ilos"))[0].origin is None
+    assert configurations(Options(vehicle=vehicle, from_="helm"))[0].origin.agent == "helm"
+
+
+def test_the_sea_of_a_training_is_that_of_the_user():
+    """In m/s, although the scenarios are in the units of the vehicle."""
+    [config] = configurations(Options(vehicle="lauv", current=(0.1, 0.3), waves=0.5))
+    [usual] = configurations(Options(vehicle="lauv"))
+    speed = Units.of(vehicle_model("lauv").vehicle).factor(length=1, time=-1)
+    found = []
+    for (own, _), (before, _) in zip(config.scenarios, usual.scenarios, strict=True):
+        assert own.name == before.name.replace("@", "-sea@")
+        episode, waves = own.draw(np.random.default_rng(1)), before.draw(np.random.default_rng(1)).waves
+        found.append(np.hypot(episode.current.V_x, episode.current.V_y) * speed)
+        assert (episode.waves and episode.waves.yaw) == (waves and pytest.approx(0.5 * waves.yaw))
+    assert 0.1 <= min(found) < 0.2 < max(found) <= 0.3
+    assert _name(Options(vehicle="lauv", current=(0.1, 0.3), waves=0.5)) == "helm-any-lauv-current-0.1-0.3-waves-0.5"
+    with pytest.raises(ValueError, match="name it with --vehicle"):
+        configurations(Options(waves=0.0))
+    with pytest.raises(ValueError, match="current speed is"):
+        configurations(Options(vehicle="lauv", current=(0.3, 0.1)))
+
+
+@pytest.mark.parametrize("expert", ["los-pid", "nmpc", "backstepping"])
+def test_the_expert_of_a_run_for_a_vehicle_is_the_controller_of_the_evaluation(expert, call, tmp_path):
+    """Limits and lag of the vehicle file decide its gains: in training, validation, saved agent and evaluation."""
+    lauv = vehicle_model("lauv")
+    model = replace(lauv, name="own", lag=0.9, vehicle=replace(lauv.vehicle, d33=lauv.vehicle.d33 * 1.01))
+    Path("own.toml").write_text(tomli_w.dumps(to_record(model)), encoding="utf-8")
+    words = ("--from", "none", "--vehicle", "own.toml", "--scenario", "small.toml", "--expert", expert)
+    options = parse(Options, [*words, "--set", "n_envs=2", "groups=1"], PROGRAM)
+    [config] = configurations(options)
+    assert config == Config.from_dict(config.to_dict())
+    assert Config.from_dict(config.to_dict()).known == config.known == model.in_paper_units
+    run = RunFolder(config, tmp_path / "run")
+    trainer = ApgTrainer(run)
+    agent = replace(trainer.agent(trainer.weights), training={"config": config.to_dict()})
+    named = make_policy(expert, model)
+    agent.save("agent")
+    assert Agent.load("agent").whole_model
+    scenario = changed(SMALL, model)
+    episodes = drawn(scenario, 2, 5).episodes
+    errors = [rollout(p, scenario, episodes).errors for p in (named, make_policy("agent", model))]
+    np.testing.assert_array_equal(*errors)
+    own = config.scenarios[0][0]
+    episodes = drawn(own, 2, 5).episodes
+    experts = agent.policy(config.known), make_policy(expert, config.known), trainer.groups._mine[0].expert
+    errors = [rollout(p, own, episodes).errors for p in experts]
+    np.testing.assert_array_equal(errors[0], errors[1])
+    np.testing.assert_array_equal(errors[0], errors[2])
+    replace(agent, whole_model=False).save("earlier")  # as those of earlier versions: for the parameters only
+    assert fingerprint("earlier") != fingerprint("agent")
+    earlier = rollout(make_policy("earlier", model), scenario, drawn(scenario, 2, 5).episodes).errors
+    bare = rollout(make_policy(expert, model.vehicle), scenario, drawn(scenario, 2, 5).episodes).errors
+    np.testing.assert_array_equal(earlier, bare)
+    [config] = configurations(replace(options, from_="agent", expert=None))
+    assert config.whole_model
+    [config] = configurations(replace(options, from_="earlier", expert=None))
+    assert not config.whole_model
 
 
 def test_scenarios_too_slow_for_the_fins_are_left_out():

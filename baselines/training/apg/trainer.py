@@ -133,8 +133,8 @@ class ApgTrainer:
 
     def agent(self, weights: Weights) -> Agent:
         """Return the agent of these weights."""
-        config, inputs = self.run.config, self.settings.inputs
-        return Agent(self.settings.network, weights, config.expert, config.authority, config.names, inputs=inputs)
+        c, network, inputs = self.run.config, self.settings.network, self.settings.inputs
+        return Agent(network, weights, c.expert, c.authority, c.names, inputs=inputs, whole_model=c.whole_model)
 
     def _due(self, times: int) -> bool:
         """Return whether this update is one of `times` evenly spaced ones, of which the last is the end of the run."""

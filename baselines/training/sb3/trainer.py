@@ -219,7 +219,7 @@ def exported_agent(policy: Any, config: Config) -> Agent:
         for name, value in layer.named_parameters()
     }
     network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound)
-    return Agent(network, weights, config.expert, config.authority, config.names)
+    return Agent(network, weights, config.expert, config.authority, config.names, whole_model=config.whole_model)
 
 
 class Tracker(BaseCallback):
