@@ -28,12 +28,13 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
     """Return a policy by name or path.
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
-    cannot: a FILE.onnx, and the folder of a trained agent. Every name but a command may end in ":guard", which may be
-    followed by "=" and the name of the fallback policy, and in ":checked", in either order, see
-    `baselines.agents.names`.
+    cannot: a FILE.onnx, a FILE.json of `auv-gym tune`, and the folder of a trained agent. Every name but a command may
+    end in ":guard", which may be followed by "=" and the name of the fallback policy, and in ":checked", in either
+    order, see `baselines.agents.names`.
 
     Args:
-        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
+        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, a FILE.json with gains, the
+            folder of an agent, or cmd:COMMAND.
         vehicle: the known vehicle; None: the paper's. A controller or agent is made for it in the paper's units, see
             `baselines.scaling`, so its gains depend on the vehicle. A privileged policy, or one from a file of code,
             gets the vehicle in SI units, if its factory has a parameter `vehicle`.
@@ -61,7 +62,7 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
         hint = meant(name, [one + suffix for suffix in ("", GUARD, CHECKED) for one in known])
         raise ValueError(
             f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
-            "a FILE.zip, a FILE.onnx, an agent's folder or cmd:COMMAND"
+            "a FILE.zip, a FILE.onnx, a FILE.json with gains, an agent's folder or cmd:COMMAND"
         )
     if POLICIES[name].privileged:
         return make_controller(name, vehicle, **options)

@@ -1,4 +1,4 @@
-"""Load policies: `file.py:factory`, `model.zip` of Stable-Baselines3, `model.onnx`, folders of agents, programs."""
+"""Load policies: `file.py:factory`, `model.zip`, `model.onnx`, `gains.json`, folders of agents, programs."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from auv_gym.installation import install
+from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
@@ -20,9 +21,10 @@ from baselines.agents.onnx_models import OnnxModel
 from baselines.agents.programs import ProgramPolicy
 from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, vehicle_option
+from baselines.gains.loading import recorded_gains
 from baselines.scaling import scaled_for
 from baselines.tools.command_line import described
-from baselines.tools.files import read_bytes
+from baselines.tools.files import read_bytes, read_json
 
 
 def caution(name: str) -> str | None:
@@ -42,7 +44,7 @@ def load_policy(name: PolicyName, vehicle: Any = None, **options: Any) -> Policy
 
     Args:
         name: its parts; the base is "FILE.py:FACTORY", where the factory is called with the options, "FILE.zip",
-            "FILE.onnx", an agent's folder, or "cmd:" and the words of a command.
+            "FILE.onnx", "FILE.json" of `auv-gym tune`, an agent's folder, or "cmd:" and the words of a command.
         vehicle: the nominal one, see `baselines.make_policy`.
         options: of the factory, or `authority` of a model that was trained on the residual environment.
 
@@ -63,7 +65,19 @@ def load_policy(name: PolicyName, vehicle: Any = None, **options: Any) -> Policy
         return _onnx(Path(base))
     if kind == "sb3":
         return load_model(Path(base), scaled_for(vehicle, partial(make_controller, "backstepping")), **options)
+    if kind == "gains":
+        return scaled_for(vehicle, partial(_tuned, Path(base)))
     return scaled_for(vehicle, _agent(name).policy)
+
+
+def _tuned(file: Path, vehicle: Any) -> Policy:
+    """Return a controller of the package with the gains of a file of `auv-gym tune`, for a vehicle in paper units."""
+    record = read_json(file)
+    with guarded(f"{file} holds no gains of a controller of the package"):
+        name, gains = record["controller"], record["gains"]
+        if name not in recorded_gains()["tuned"]:
+            raise ValueError(f"its controller is {name!r}")
+        return make_controller(name, vehicle, gains=gains)
 
 
 def _onnx(file: Path) -> Policy:

@@ -17,6 +17,9 @@ CHECKED = ":checked"
 COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
+_KINDS = {".onnx": "onnx", ".zip": "sb3", ".json": "gains"}
+"""Kinds of files by suffix."""
+
 
 class PolicyName(NamedTuple):
     """The parts of a policy's name."""
@@ -47,14 +50,14 @@ class PolicyName(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What the base is: "program", "onnx", "python", "sb3", "agent", or "controller" for every other name."""
+        """What the base is: "program", "onnx", "python", "sb3", "gains", "agent", else "controller"."""
         base = self.base
         if base.startswith(COMMAND):
             return "program"
         if ".py:" in base:
             return "python"
-        if (suffix := Path(base).suffix) in (".onnx", ".zip"):
-            return "onnx" if suffix == ".onnx" else "sb3"
+        if (found := _KINDS.get(Path(base).suffix)) is not None:
+            return found
         return "agent" if "/" in base or "\\" in base or self.folder is not None else "controller"
 
     @property

@@ -74,7 +74,7 @@ def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
     if not all(parts):
         return ""
     data = _hash(" ".join(_hash(entry) for part in parts for entry in part))
-    if any(part.kind not in ("controller", "agent") for part in policies):
+    if any(part.kind not in ("controller", "agent", "gains") for part in policies):
         return f".{data[:20]}."
     results = [_used(policy, data, scenario) for scenario in scenarios or [PRESETS["cruise-storm"]]]
     kernels = sorted({digest for digests, _ in results for digest in digests})
@@ -123,7 +123,7 @@ def _data(name: PolicyName) -> list[str | bytes]:
             return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
         if kind == "python":
             return [file.read_bytes() for file in _with_neighbours(Path(base.rpartition(":")[0]))]
-        if kind in ("onnx", "sb3"):
+        if kind in ("onnx", "sb3", "gains"):
             statistics = statistics_file(Path(base)) if kind == "sb3" else None
             return [file.read_bytes() for file in (Path(base), statistics) if file is not None]
         if kind == "controller":

@@ -19,9 +19,10 @@ class Options:
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Policies, compared with the expert; the default is the expert alone. Each is a name; FILE.py:FACTORY; a FILE.zip
-    of Stable-Baselines3; a FILE.onnx; "cmd:COMMAND", a program in any language that reads observations and writes
-    actions line by line, see docs/programs.md; the folder of a trained agent, or of its training run. With several
-    training seeds all of them run, and a line has their mean with an interval over seeds and episodes."""
+    of Stable-Baselines3; a FILE.onnx; a FILE.json of auv-gym tune; "cmd:COMMAND", a program in any language that reads
+    observations and writes actions line by line, see docs/programs.md; the folder of a trained agent, or of its
+    training run. With several training seeds all of them run, and a line has their mean with an interval over seeds and
+    episodes."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """A frozen suite, "benchmark-v2" by default, see docs/suites.md. The tables also show the recorded results of other
     policies. Or "presets": all presets, with episodes drawn from the seed."""

@@ -45,7 +45,8 @@ class Options:
     """Tune the gains of a controller and write them to runs/tune/NAME-SPEED_RANGE@VEHICLE.json, with their provenance.
 
     The search starts at the entry "start" of the controller in baselines/gains/gains.json, for another vehicle at the
-    shipped gains in the units of the vehicle. Use the result with make_policy(NAME, vehicle=..., gains=...).
+    shipped gains in the units of the vehicle. For a controller of the package the file is a policy, as in
+    auv-gym evaluate --policy FILE.json; in Python use make_policy(NAME, vehicle=..., gains=...).
     FILE.py:FACTORY is a controller of your own, whose factory takes its gains as keyword arguments; --start names their
     initial values, and NAME of the result is FILE-FACTORY.
     Exit status: 0 done, 1 the controller failed, 2 wrong usage.

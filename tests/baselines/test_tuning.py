@@ -10,7 +10,10 @@ import pytest
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, as_scenario
+from baselines.evaluation.cells import drawn
+from baselines.evaluation.fingerprints import changed_parts, fingerprint
+from baselines.evaluation.rollout import rollout
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains, recorded_gains
 from baselines.policies import make_policy
@@ -231,3 +234,26 @@ def brief(episodes, policy, run=TuningEpisodes.run):
 def test_wrong_usage_is_answered_in_one_line(arguments, reason):
     with pytest.raises(UsageError, match=reason):
         main(arguments)
+
+
+@pytest.mark.parametrize("name", ["los-pid", "nmpc"])
+def test_a_file_of_gains_is_a_policy(name, tmp_path):
+    """That of the same gains, also as the fallback of a guard; its fingerprint follows the file."""
+    gains = {key: 1.1 * gain for key, gain in load_gains(name, "cruise", TUNABLES[name].names).items()}
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({"controller": name, "gains": gains}), encoding="utf-8")
+    scenario = replace(as_scenario("cruise-storm@lauv"), steps=20)
+    cell = drawn(scenario, 2, 0)
+    policies = make_policy(str(file), scenario.known), make_policy(name, scenario.known, gains=gains)
+    errors = [rollout(policy, scenario, cell.episodes).errors for policy in policies]
+    np.testing.assert_array_equal(*errors)
+    guarded = make_policy(f"backstepping:guard={file}", scenario.known)
+    assert guarded.policy.fallback.controller.__class__ is policies[1].policy.controller.__class__
+    before = fingerprint(str(file), [scenario])
+    assert len(changed_parts(before, fingerprint(f"backstepping:guard={file}", [scenario]))) > 0
+    file.write_text(json.dumps({"controller": name, "gains": gains | {next(iter(gains)): 2.0}}), encoding="utf-8")
+    assert changed_parts(before, fingerprint(str(file), [scenario])) == ["data"]
+    for wrong in ({}, [], {"controller": "backstepping", "gains": {}}, {"controller": name, "gains": {"k": 1}}):
+        file.write_text(json.dumps(wrong), encoding="utf-8")
+        with pytest.raises(ValueError, match="holds no gains of a controller of the package"):
+            make_policy(str(file))
