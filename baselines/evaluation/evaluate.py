@@ -35,7 +35,7 @@ def evaluate(request: Request) -> int:
     for note in request.notes:
         print(f"note: {note}", file=sys.stderr)
     try:
-        done = request.ordered(_run(request))
+        done = request.ordered(run_request(request))
         everything = request.ordered([*request.earlier, *done])
         results, pooled = compare(everything), pool(everything)
         trained = over_seeds(everything, request.trainings)
@@ -58,7 +58,7 @@ def evaluate(request: Request) -> int:
     return FAILED if any(run.error for run in done) else DONE
 
 
-def _run(request: Request) -> list[Run]:
+def run_request(request: Request) -> list[Run]:
     """Return the runs of a request; each finished run is kept in a file, so that an interruption does not repeat it."""
     folder, options = request.options.out / _FINISHED, request.options
 

@@ -27,6 +27,7 @@ from baselines.evaluation.request import checked_scenario, import_effects
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
 from baselines.tools.workers import Workers
+from baselines.training.comparison import RESULT, Comparison
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.initial_agent import ALGO, InitialAgent, fitted, in_own_units
 from baselines.training.run_folder import LOCK, read_config
@@ -131,12 +132,14 @@ def checked_request(options: Options, command: str = "") -> TrainingRequest:
     configs = checked(partial(configurations, options))
     out = options.out or Path("runs/train") / _name(options)
     folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)
-    begun = [_holds(config, folder, options.resume) for config, folder in zip(configs, folders, strict=True)]
+    comparison = checked(partial(_comparison, options))
+    ends = [out / RESULT if comparison else folder / AGENT_FOLDER for folder in folders]
+    begun = [_holds(*run, options.resume) for run in zip(configs, folders, ends, strict=True)]
     if options.resume and not any(begun):
         print(f"note: --out {out} holds no run yet, so --resume begins one", file=sys.stderr)
     for folder in folders:
         checked_folder(folder)
-    return TrainingRequest(configs, folders, out, workers, command)
+    return TrainingRequest(configs, folders, out, workers, command, comparison)
 
 
 def configurations(options: Options) -> tuple[Config, ...]:
@@ -300,8 +303,23 @@ def _name(options: Options) -> str:
     return "-".join(str(part) for part in parts if part != "")
 
 
-def _holds(config: Config, folder: Path, resume: bool) -> bool:
-    """Return whether a folder holds the run; raise UsageError if it holds something else, or the run without resume."""
+def _comparison(options: Options) -> Comparison | None:
+    """Return the comparison at the end; None if it is left out, or limits and lag of the vehicle are not known."""
+    if options.no_compare or (vehicle_model := as_vehicle_model(options.vehicle)) is None:
+        return None
+    comparison = Comparison(vehicle_model, Sea(options.current, options.waves), _start(options) or BASE_AGENT)
+    try:
+        comparison.scenario  # noqa: B018, it raises
+    except ValueError as error:
+        raise ValueError(f"--no-compare leaves out the comparison on storms, which is not possible: {error}") from error
+    return comparison
+
+
+def _holds(config: Config, folder: Path, end: Path, resume: bool) -> bool:
+    """Return whether a folder holds the run; raise UsageError if it holds something else, or the run without resume.
+
+    The run is finished if the file or folder `end` exists.
+    """
     present = checked(partial(read_config, folder))
     if present is None:
         if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
@@ -312,7 +330,7 @@ def _holds(config: Config, folder: Path, resume: bool) -> bool:
         change = f": {held[name]} instead of {wanted[name]}" if name not in ("scenarios", "hyperparameters") else ""
         raise UsageError(f"--out {folder} holds a run with other {name}{change}; choose another folder")
     if not resume:
-        if (folder / AGENT_FOLDER).exists():
+        if end.exists():
             state, advice = "finished", "choose another folder, or delete it"
         else:
             state, advice = "unfinished", "add --resume to continue, or choose another folder"

@@ -22,6 +22,7 @@ from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, 
 from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
 from baselines.tools.files import versions, write_atomically
 from baselines.tools.workers import Workers
+from baselines.training.comparison import RESULT, Comparison, compare
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.run_folder import RunFolder, Show, TrainingError, locked, read_progress
 
@@ -35,6 +36,7 @@ class TrainingRequest:
     out: Path  # folder of all
     workers: Workers
     command: str = ""  # command line of the user
+    comparison: Comparison | None = None  # at the end
 
 
 def train(config: Config, folder: Path, show: Show = lambda *_: None, processes: int = 1, command: str = "") -> Agent:
@@ -89,9 +91,15 @@ def train_all(request: TrainingRequest) -> int:
         for one, line in request.workers.results(_trained, tasks):
             print(line, file=sys.stderr if one else sys.stdout)
             status = max(status, one)
+        if request.comparison and status == DONE and not (request.out / RESULT).exists():
+            agents = [folder / AGENT_FOLDER for folder in request.folders]
+            print(compare(request.comparison, agents, request.out, request.workers))
     except (WorkerError, KeyboardInterrupt) as error:
         reason = str(error) or "interrupted"
         print(f"{reason}; repeat the command with --resume to continue", file=sys.stderr)
+        return FAILED
+    except TrainingError as error:
+        print(error, file=sys.stderr)
         return FAILED
     if several and status == DONE:
         curves = checked(partial(learning_curves, {folder.name: folder for folder in request.folders}))

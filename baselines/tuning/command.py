@@ -6,12 +6,10 @@ steady-state RMSE, which is limited to the error cap in each episode.
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -27,14 +25,14 @@ from baselines.gains.loading import adapted_gains, checked_gains, load_gains, re
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
-from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes, compared, tuning_scenarios
+from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
     TUNING_EPISODES,
     VALIDATION_EPISODES,
     VALIDATION_SEED,
     Budget,
-    tune,
+    search_record,
 )
 
 PROGRAM = "auv-gym tune"
@@ -90,30 +88,18 @@ def main(arguments: Sequence[str]) -> int:
     file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
     if file.exists() and checked(partial(read_json, file)).get("controller") != options.name:
         raise UsageError(f"{file} is the result of another controller of this name; rename one of the two files")
-    factory = partial(tunable.factory, vehicle=in_paper_units.vehicle)
-    checked(partial(factory, dict(start)))
+    checked(partial(tunable.factory, dict(start), vehicle=in_paper_units.vehicle))
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
 
     try:
-        gains = tune(factory, draw, start, budget) if options.evaluations else start
-        policies = factory(dict(gains)), make_policy("backstepping", vehicle=in_paper_units.vehicle)
-        result, expert = map(draw(VALIDATION_EPISODES, VALIDATION_SEED).run, policies)
+        vehicle = in_paper_units.vehicle
+        record = search_record(tunable, draw, start, budget, vehicle, VALIDATION_EPISODES)
     except Exception as error:  # noqa: BLE001, a policy of the user's can raise anything
         print(f"{called(PROGRAM)}: {failure(error, options.name)}", file=sys.stderr)
         return FAILED
-    record = {
-        "gains": gains,
-        "start": start,
-        "command": typed(PROGRAM, arguments),
-        "evaluations": options.evaluations,
-        "episodes": options.episodes,
-        "world": tunable.world,
-        "validation": {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)},
-        "date": datetime.now(timezone.utc).date().isoformat(),
-        "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
-    }
+    record["command"] = typed(PROGRAM, arguments)
     print(json.dumps(record, indent=2))
     if options.ship and not options.dry_run:
         tuned = recorded_gains()["tuned"].get(options.name, {})

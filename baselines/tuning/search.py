@@ -9,17 +9,23 @@ after half of the generations, and its last mean.
 
 from __future__ import annotations
 
+import importlib.metadata
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
+from baselines.evaluation.score import EXPERT
+from baselines.policies import make_policy
 from baselines.tools.seeds import TUNING, TUNING_CHECK
-from baselines.tuning.objective import TuningEpisodes
+from baselines.tuning.objective import Tunable, TuningEpisodes, compared
 
 EVALUATIONS = 300
 """Evaluations of a search, the same for all controllers."""
@@ -35,6 +41,7 @@ VALIDATION_SEED = TUNING_CHECK.first  # first seed of the validation episodes
 VALIDATION_EPISODES = 512
 """Episodes of the final comparison of the best gains with those of the expert."""
 
+SHOW = partial(print, flush=True)  # displays the progress of a search
 GainSet = Mapping[str, float]
 Factory = Callable[[dict[str, float]], Policy]
 """Returns the policy with these gains at every speed."""
@@ -60,7 +67,9 @@ class Budget:
         return TUNING_SEED + (self.generations + RUN_OFF) * self.episodes
 
 
-def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget) -> dict[str, float]:
+def tune(
+    factory: Factory, draw: Draw, start: GainSet, budget: Budget, show: Callable[[str], None] = SHOW
+) -> dict[str, float]:
     """Return the best gains of a search.
 
     Args:
@@ -68,6 +77,7 @@ def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget) -> dict[s
         draw: returns episodes.
         start: initial gains, positive.
         budget: of the search.
+        show: displays the progress.
     """
     names, centre = list(start), np.log(np.array(list(start.values())))
     finalists = [centre]
@@ -89,13 +99,49 @@ def tune(factory: Factory, draw: Draw, start: GainSet, budget: Budget) -> dict[s
             points = strategy.ask()
             costs = [cost(x, episodes) for x in points]
             strategy.tell(points, costs)
-            print(f"{generation + 1:3d} {time.monotonic() - begin:6.0f} s  {np.median(costs):.5g}", flush=True)
+            show(f"{generation + 1:3d} {time.monotonic() - begin:6.0f} s  {np.median(costs):.5g}")
             if generation + 1 in (budget.generations // 2, budget.generations):
                 finalists.append(np.array(strategy.result.xfavorite))
     episodes = draw(RUN_OFF * budget.episodes, TUNING_SEED + budget.generations * budget.episodes)
     ranked = sorted((cost(x, episodes), i) for i, x in enumerate(finalists))
-    print("run-off", ranked, flush=True)
+    show(f"run-off {ranked}")
     return _gains(names, finalists[ranked[0][1]])
+
+
+def search_record(
+    tunable: Tunable,
+    draw: Draw,
+    start: GainSet,
+    budget: Budget,
+    vehicle: Vehicle,
+    check: int = VALIDATION_EPISODES,
+    show: Callable[[str], None] = SHOW,
+) -> dict[str, Any]:
+    """Return the record of a search: gains, origin, and results on validation episodes.
+
+    Args:
+        tunable: the controller.
+        draw: returns episodes.
+        start: initial gains, positive.
+        budget: of the search; without evaluations the gains are the initial ones.
+        vehicle: nominal one, in the paper's units.
+        check: number of validation episodes.
+        show: displays the progress.
+    """
+    factory = partial(tunable.factory, vehicle=vehicle)
+    gains = tune(factory, draw, start, budget, show) if budget.evaluations else dict(start)
+    policies = factory(dict(gains)), make_policy(EXPERT, vehicle=vehicle)
+    result, expert = map(draw(check, VALIDATION_SEED).run, policies)
+    return {
+        "gains": gains,
+        "start": dict(start),
+        "evaluations": budget.evaluations,
+        "episodes": budget.episodes,
+        "world": tunable.world,
+        "validation": {"episodes": check, "seed": VALIDATION_SEED, **compared(result, expert)},
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
+    }
 
 
 def _gains(names: Sequence[str], x: Array) -> dict[str, float]:

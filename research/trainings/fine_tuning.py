@@ -1,6 +1,6 @@
 """Fine-tune an agent to vehicles, and compare it with controllers: `python -m research fine-tuning`.
 
-For each vehicle an agent is fine-tuned as by `auv-gym train --from BASE_AGENT --vehicle VEHICLE`. It runs the same
+For each vehicle an agent is fine-tuned as by `auv-gym train --vehicle VEHICLE`. It runs the same
 held-out episodes of the cruise cases with a disturbance as the original agent and the controllers. All policies are
 given the vehicle model. docs/fine-tuning.md has the results.
 """
@@ -26,7 +26,13 @@ from baselines.evaluation.score import RIVAL, Score, capped, count_failures, err
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, WorkerError
 from baselines.tools.workers import DEFAULT_JOBS
-from baselines.training.command import FINE_TUNING_METHOD, hyperparameter_words, read_hyperparameters, shipped
+from baselines.training.command import (
+    BASE_AGENT,
+    FINE_TUNING_METHOD,
+    hyperparameter_words,
+    read_hyperparameters,
+    shipped,
+)
 from baselines.training.command import Options as Training
 from baselines.training.train import train_all
 from research.pages import table, with_interval
@@ -36,7 +42,6 @@ from research.trainings.trainings import request_of
 
 CONTROLLERS = ("backstepping", "los-pid", "ilos", "lqi", "ekf", RIVAL, "nmpc-adverse")
 """The controllers of the comparison; their gains are for the vehicle's parameters."""
-BASE_AGENT = "helm-any"  # shipped agent that is fine-tuned
 TUNED_AGENT = "tuned"  # agent that is fine-tuned to a vehicle
 _DISTURBED = tuple(case for case in CASES if case != "calm")
 _EPISODES = 32  # of each case
@@ -66,7 +71,7 @@ def _measure(vehicle: str, policy: str, quick: bool = False) -> dict[str, Any]:
         # A fine-tuning that started from another agent must not be resumed.
         folder, begin = _RUNS / f"{'quick-' * quick}{vehicle}-{fingerprint(BASE_AGENT)[-8:]}", time.monotonic()
         resumed = folder.exists()
-        training = replace(Training(), from_=BASE_AGENT, vehicle=vehicle, timesteps=20_000 if quick else None)
+        training = replace(Training(), vehicle=vehicle, timesteps=20_000 if quick else None, no_compare=True)
         if train_all(request_of(training, folder, DEFAULT_JOBS)) != DONE:
             raise WorkerError(f"the training for {vehicle} failed: {folder}")
         policy = str(folder / AGENT_FOLDER)

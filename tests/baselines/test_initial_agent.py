@@ -1,6 +1,8 @@
 """train.py --from and --vehicle: where a training begins, in whose units it takes place, and what contradicts it."""
 
+import json
 import re
+import shlex
 import shutil
 import sys
 from dataclasses import replace
@@ -16,13 +18,17 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.records import to_record
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import vehicle_model
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.evaluation.cells import drawn
+from baselines.evaluation.command import main as evaluate
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import Run
 from baselines.tools.command_line import parse, run
+from baselines.training import comparison
 from baselines.training.apg.network import weights_of
 from baselines.training.apg.settings import Settings
 from baselines.training.apg.trainer import ApgTrainer
@@ -40,6 +46,7 @@ from baselines.training.command import (
 from baselines.training.config import Config
 from baselines.training.initial_agent import OF_AGENT, fitted, in_own_units
 from baselines.training.run_folder import RunFolder, read_config
+from baselines.tuning.search import Budget
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.slow  # nearly all use agents that are trained for them
@@ -172,6 +179,86 @@ def test_wrong_options_give_one_line_and_create_no_files(arguments, message, cal
     assert set(Path().rglob("*")) == before
 
 
+@pytest.fixture
+def brief(call, monkeypatch):
+    """Make storms and searches short, and return the words of a training with a comparison at its end."""
+    for name in (name for name in PRESETS if name.startswith("cruise-")):
+        monkeypatch.setitem(PRESETS, name, replace(PRESETS[name], steps=20))
+    monkeypatch.setattr(comparison, "CONTROLLERS", {"los-pid": Budget(1, 8), "nmpc": Budget(0, 8)})
+    monkeypatch.setattr(comparison, "CHECKED", 8)
+    monkeypatch.setattr(comparison, "EPISODES", 3)
+    return "--from", "runs/train/apg-small-slow", "--vehicle", "lauv", "--timesteps", 40, "--jobs", 1, "--out", "out"
+
+
+def test_the_comparison_at_the_end(brief, call, capsys):
+    """An evaluation of the same episodes finds the same errors; the sea is that of the training."""
+    assert call(*brief, "--scenario", "small.toml", "--current", 0.1, 0.2, "--waves", 0) == 0
+    printed, record = capsys.readouterr().out, json.loads(Path("out/comparison.json").read_text(encoding="utf-8"))
+    assert Path("out/comparison.md").read_text(encoding="utf-8") in printed
+    scenario = Scenario.load("out/storm.toml")
+    assert (scenario.name, scenario.waves, scenario.known) == ("cruise-storm-sea@lauv", None, vehicle_model("lauv"))
+    assert scenario.current.speed == (0.1, 0.2)
+    found = {row["policy"]: row for row in record["rows"]}
+    guarded = [name for name in found if name.startswith("agent:guard=gains/")]
+    controllers = {"gains/los-pid.json", "gains/nmpc.json", "backstepping", "clairvoyant"}
+    assert {*found} == {"agent", *guarded, "runs/train/apg-small-slow"} | controllers
+    assert run(evaluate, "evaluate", [*shlex.split(record["evaluate"])[2:], "--out", "again"]) == 0
+    for result in json.loads(Path("again/results.json").read_text(encoding="utf-8"))["results"]:
+        row = found[result["policy"].replace("out/", "")]
+        assert row["error_m"] == pytest.approx(result["steady_rmse_m"]["mean"])
+        assert row["failed"] == row["avoidable"] == 0
+    errors = {
+        name: json.loads(Path(f"out/gains/{name}.json").read_text())["validation"] for name in ("los-pid", "nmpc")
+    }
+    assert guarded == [f"agent:guard=gains/{min(errors, key=lambda name: errors[name]['error_m'])}.json"]
+
+
+def test_an_interrupted_comparison_is_continued(brief, call, capsys, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    words = *brief, "--scenario", "small.toml"
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "run_request", interrupted)
+        assert call(*words) == 1
+    assert "repeat the command with --resume" in capsys.readouterr().err
+    files = [Path("out/agent/agent.json"), Path("out/gains/nmpc.json"), Path("out/gains/los-pid.json")]
+    before = [file.stat().st_mtime_ns for file in files]
+    assert not Path("out/comparison.json").exists()
+    assert call(*words) == 2
+    assert "unfinished; add --resume" in capsys.readouterr().err
+    assert call(*words, "--resume") == 0
+    assert Path("out/comparison.json").exists()
+    assert call(*words) == 2
+    assert "finished; choose another folder" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "run_request", interrupted)
+        assert call(*words, "--resume") == 0  # there is nothing left to do
+    assert [file.stat().st_mtime_ns for file in files] == before
+
+
+def test_a_failure_is_avoidable_if_another_policy_does_not_fail():
+    scenario = replace(PRESETS["cruise-storm"], steps=3)
+    cell = drawn(scenario, 4, 0)
+    measures = rollout(make_policy("open-loop"), scenario, cell.episodes).measures
+    ended = {
+        "a": [True, True, False, True],
+        "b": [False, True, False, False],
+        "clairvoyant": [False, True, False, True],
+    }
+    steady = np.array([0.5, 0.5, 0.5, 9.0])
+    runs = [
+        Run(f"out/{name}", scenario, "", replace(measures, steady_rmse=steady / 10, failed=np.array(failed)))
+        for name, failed in ended.items()
+    ]
+    record = comparison.results(runs, Path("out"))
+    rows = {row["policy"]: (row["failed"], row["avoidable"]) for row in record["rows"]}
+    assert rows == {"a": (3, 2), "b": (1, 0), "clairvoyant": (2, 1)}
+    assert [row["policy"] for row in record["rows"]] == ["b", "clairvoyant", "a"]
+    assert record["rows"][-1]["error_m"] == pytest.approx((3 * record["cap_m"] + 0.05) / 4)
+    assert "| a | 1.51 (" in comparison.table(record)
+
+
 def test_training_for_a_vehicle_without_an_agent(call):
     words = "--from", "none", "--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40, "--no-compare"
     assert call(*words) == 0
@@ -291,4 +378,4 @@ def test_documented_commands_run(page, call, monkeypatch):
     assert lines
     for line in lines:
         scenario = () if "--scenario" in line else ("--scenario", "small.toml")
-        assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
+        assert call(*line.split(), *scenario, "--timesteps", 40, "--no-compare") == 0, line
