@@ -20,7 +20,6 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.names import GUARD
 from baselines.control.backstepping import StabilityWarning
-from baselines.evaluation.evaluate import run_request
 from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
@@ -74,6 +73,8 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
         UsageError: another process writes to the folder.
         WorkerError: a worker process has died.
     """
+    from baselines.evaluation.evaluate import run_request  # with its reports, which take long to import
+
     with locked(out):
         files = {name: out / GAINS_FOLDER / f"{name}.json" for name in CONTROLLERS}
         tasks = [(name, comparison, file) for name, file in files.items() if not file.exists()]

@@ -219,7 +219,7 @@ def test_an_interrupted_comparison_is_continued(brief, call, capsys, monkeypatch
 
     words = *brief, "--scenario", "small.toml"
     with monkeypatch.context() as patch:
-        patch.setattr(comparison, "run_request", interrupted)
+        patch.setattr("baselines.evaluation.evaluate.run_request", interrupted)
         assert call(*words) == 1
     assert "repeat the command with --resume" in capsys.readouterr().err
     files = [Path("out/agent/agent.json"), Path("out/gains/nmpc.json"), Path("out/gains/los-pid.json")]
@@ -232,7 +232,7 @@ def test_an_interrupted_comparison_is_continued(brief, call, capsys, monkeypatch
     assert call(*words) == 2
     assert "finished; choose another folder" in capsys.readouterr().err
     with monkeypatch.context() as patch:
-        patch.setattr(comparison, "run_request", interrupted)
+        patch.setattr("baselines.evaluation.evaluate.run_request", interrupted)
         assert call(*words, "--resume") == 0  # there is nothing left to do
     assert [file.stat().st_mtime_ns for file in files] == before
 
