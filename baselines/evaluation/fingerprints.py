@@ -53,7 +53,7 @@ MEASURES = ("evaluation/rollout.py", "evaluation/metrics.py")
 """Modules of `baselines` that run the episodes and compute the metrics."""
 _STEPS = 4  # control steps after which a policy has used all of its kernels
 _GUARD_LAW = "backstepping"  # the default fallback of a guard, whose gains its thresholds use
-AGENT_KEYS = ("network", "inputs", "features", "observation", "expert", "authority")
+AGENT_KEYS = ("network", "inputs", "features", "observation", "expert", "authority", WHOLE_MODEL)
 """Keys of agent.json that affect an agent's actions."""
 
 
@@ -131,8 +131,7 @@ def _data(name: PolicyName) -> list[str | bytes]:
             return [repr(sorted(entry.options.items())), json.dumps(numbers_of(base))] if entry else []
         if name.folder is not None:
             record = json.loads((name.folder / AGENT_FILE).read_bytes())
-            keys = *AGENT_KEYS, *(key for key in (WHOLE_MODEL,) if key in record)
-            description = json.dumps({key: record.get(key) for key in keys}, sort_keys=True)
+            description = json.dumps({key: record[key] for key in AGENT_KEYS if key in record}, sort_keys=True)
             expert = [] if record["expert"] == NO_EXPERT else _data(PolicyName.of(record["expert"]))
             return [(name.folder / WEIGHTS).read_bytes(), description, *expert]
     except OSError:

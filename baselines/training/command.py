@@ -106,6 +106,11 @@ class Options:
     resume: bool = False
     """Continue the run that the same options have started in the folder, from its last checkpoint."""
 
+    @property
+    def sea(self) -> Sea:
+        """The sea of the vehicle."""
+        return Sea(self.current, self.waves)
+
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit status.
@@ -162,7 +167,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
     initial = None if start is None else InitialAgent.of(start)
     if initial and options.algo != ALGO:
         raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
-    if options.vehicle is None and Sea(options.current, options.waves) != Sea():
+    if options.vehicle is None and options.sea != Sea():
         raise ValueError("--current and --waves are those of a vehicle's sea; name it with --vehicle")
     values = read_hyperparameters(options.hyperparameters or shipped(FINE_TUNING_METHOD if initial else options.algo))
     timesteps, expert, authority = (values.pop(name, default) for name, default in DEFAULTS.items())
@@ -258,8 +263,7 @@ def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture,
             mixture, reasons = fitted(mixture, vehicle_model)
             if reasons:
                 print(f"note: {len(reasons)} scenarios are left out: {reasons[0]}", file=sys.stderr)
-        sea = Sea(options.current, options.waves)
-        mixture = tuple((sea.of(scenario), weight) for scenario, weight in mixture)
+        mixture = tuple((options.sea.of(scenario), weight) for scenario, weight in mixture)
     return in_own_units(mixture)
 
 
@@ -307,7 +311,7 @@ def _comparison(options: Options) -> Comparison | None:
     """Return the comparison at the end; None if it is left out, or limits and lag of the vehicle are not known."""
     if options.no_compare or (vehicle_model := as_vehicle_model(options.vehicle)) is None:
         return None
-    comparison = Comparison(vehicle_model, Sea(options.current, options.waves), _start(options) or BASE_AGENT)
+    comparison = Comparison(vehicle_model, options.sea, _start(options) or BASE_AGENT)
     try:
         comparison.scenario  # noqa: B018, it raises
     except ValueError as error:

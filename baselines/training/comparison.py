@@ -84,8 +84,14 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
         own = [str(agent) for agent in agents]
         policies = *own, *(f"{agent}{GUARD}={best}" for agent in own), comparison.agent, *map(str, files.values())
         comparison.scenario.save(out / STORM)
-        options = Options((*policies, OPTIMUM_POLICY), scenario=(str(out / STORM),), episodes=EPISODES)
-        options = replace(options, out=out / "comparison", step_limit=math.inf, resume=True)
+        options = Options(
+            (*policies, OPTIMUM_POLICY),
+            scenario=(str(out / STORM),),
+            episodes=EPISODES,
+            out=out / "comparison",
+            step_limit=math.inf,
+            resume=True,
+        )
         runs = run_request(replace(Request.of(options), workers=workers))
         if failed := [f"{run.policy}: {run.error}" for run in runs if run.error]:
             raise TrainingError(f"the comparison failed: {failed[0]}")
@@ -138,16 +144,10 @@ def results(runs: Sequence[Run], out: Path) -> dict[str, Any]:
         for run, error, lost in zip(runs, errors, failed, strict=True)
     ]
     rows.sort(key=lambda row: row["error_m"])
-    words = (
-        "--scenario",
-        str(out / STORM),
-        "--episodes",
-        str(len(inevitable)),
-        "--policy",
-        *(run.policy for run in runs),
-    )
-    command = f"auv-gym evaluate {shlex.join(words)}"
-    return {"scenario": scenario.name, "episodes": len(inevitable), "cap_m": cap, "rows": rows, "evaluate": command}
+    policies = shlex.join(run.policy for run in runs)
+    storm, episodes = shlex.quote(str(out / STORM)), len(inevitable)
+    command = f"auv-gym evaluate --scenario {storm} --episodes {episodes} --policy {policies}"
+    return {"scenario": scenario.name, "episodes": episodes, "cap_m": cap, "rows": rows, "evaluate": command}
 
 
 def table(record: dict[str, Any]) -> str:
