@@ -10,10 +10,9 @@ from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy
-from baselines.agents.checked import Checked
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import CHECKED, GUARD, PolicyName, shipped_agents
+from baselines.agents.names import GUARD, PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.scaling import scaled_for
 
@@ -29,8 +28,7 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
     cannot: a FILE.onnx, a FILE.json of `auv-gym tune`, and the folder of a trained agent. Every name but a command may
-    end in ":guard", which may be followed by "=" and the name of the fallback policy, and in ":checked", in either
-    order, see `baselines.agents.names`.
+    end in ":guard", which may be followed by "=" and the name of the fallback policy, see `baselines.agents.guard`.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, a FILE.json with gains, the
@@ -46,8 +44,6 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
     parts = PolicyName.of(name)
-    if parts.checked:
-        return scaled_for(vehicle, lambda known: Checked(make_policy(parts.unchecked, known, **options), known))
     if (fallback := parts.fallback) is not None:
 
         def guarded(known: Any) -> Policy:
@@ -59,7 +55,7 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
         known = list_policies()
-        hint = meant(name, [one + suffix for suffix in ("", GUARD, CHECKED) for one in known])
+        hint = meant(name, [one + suffix for suffix in ("", GUARD) for one in known])
         raise ValueError(
             f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "
             "a FILE.zip, a FILE.onnx, a FILE.json with gains, an agent's folder or cmd:COMMAND"

@@ -56,7 +56,7 @@ def agree(name: str, count: int) -> None:
 
 
 if __name__ == "__main__":
-    agree("apg-cruise", steps(600, 600))
+    agree("ppo-cruise", steps(600, 600))
     for env_id in IDS:
         env = make_vec_env(env_id, 2, seed=0)
         model = PPO("MlpPolicy", env, n_steps=64, device="cpu", seed=0).learn(steps(20_000, 128))

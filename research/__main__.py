@@ -6,8 +6,8 @@ from baselines.__main__ import Command, end, main
 
 RESEARCH_COMMANDS = {
     "deployment": Command("research.deployment.measure", "export"),
+    "error-only": Command("research.results.error_only", "eval"),
     "failure-rate": Command("research.robustness.failure_rate", "eval"),
-    "faults": Command("research.robustness.faults", "eval"),
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),
     "gain-exponents": Command("research.vehicles.exponents", "train"),
@@ -15,7 +15,6 @@ RESEARCH_COMMANDS = {
     "model-error": Command("research.robustness.model_error", "eval"),
     "pages": Command("research.pages", "eval"),
     "paper": Command("research.paper.command", "eval"),
-    "registered": Command("research.trainings.registered", "train"),
     "speed": Command("research.speed", "eval"),
     "suites": Command("research.suites.command", "eval"),
     "train-all": Command("research.trainings.command", "train"),

@@ -23,18 +23,18 @@ from baselines.evaluation.suites import SuiteError
 from baselines.tools.command_line import DONE, FAILED, UsageError, check_words, parse
 from baselines.tools.files import write_atomically
 from research import DOCS
+from research.suites.sealed import seals
 
 PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 120
 """Most characters in a line of prose."""
-SUITE_PAGES = ("benchmark-v2", "sealed-v2")
+SUITE_PAGES = ("benchmark-v3", "hard-v1", *(name for name, seal in seals().items() if seal.secret))
+"""Suites with a page of the same kind; a sealed one gets it when it is opened."""
 PAGES = {
     "results": "research.results.overview",
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
-    "results/vehicles-v2": "research.results.vehicles",
-    "results/learning": "research.results.learning",
-    "results/faults": "research.robustness.faults",
+    "results/vehicles-v3": "research.results.vehicles",
     "safety": "research.robustness.failure_rate",
     "transfer": "research.transfer.comparison",
     "validation": "research.validation.predictions",

@@ -26,7 +26,7 @@ _SCENARIO = "cruise-storm"  # all disturbances together
 _TRACK, _RESIDUAL = (f"auv_gym:UnderactuatedAUVTrack{kind}-v0" for kind in ("", "Residual"))
 _PEER, _PEER_EPISODE = "Pendulum-v1", 200  # environment of Gymnasium to compare with, and steps of its episodes
 _EPISODE = PRESETS[_SCENARIO].steps
-_POLICIES = ("backstepping", "ekf", "nmpc", "apg-cruise", "helm")
+_POLICIES = ("backstepping", "ekf", "nmpc", "helm")
 
 
 def _vector(env_id: str, n: int, **options: Any) -> Any:

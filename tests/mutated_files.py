@@ -185,7 +185,7 @@ def agent(name):
     """Return a maker of an agent's folder, in which a file is damaged."""
 
     def make(folder):
-        shutil.copytree(ROOT / "baselines/agents/shipped/apg-cruise", folder / "agent")
+        shutil.copytree(ROOT / "baselines/agents/shipped/ppo-cruise", folder / "agent")
         return folder / "agent" / name
 
     return make
@@ -204,7 +204,7 @@ def onnx(folder):
     from baselines.export.onnx_model import onnx_model
     from baselines.export.parts import exported
 
-    (folder / "model.onnx").write_bytes(onnx_model(exported("apg-cruise")).SerializeToString())
+    (folder / "model.onnx").write_bytes(onnx_model(exported("ppo-cruise")).SerializeToString())
     return folder / "model.onnx"
 
 

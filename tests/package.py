@@ -74,7 +74,7 @@ def used(wheel, folder):
     blocks = FENCE.findall((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "quickstart.py").write_text("\n".join(blocks), encoding="utf-8")
     print(run(python, "quickstart.py", cwd=folder), end="")
-    quick = ("--suite", "benchmark-v2", "--policy", "apg-cruise", "--episodes", "1", "--jobs", "1")
+    quick = ("--suite", "benchmark-v3", "--policy", "ppo-cruise", "--episodes", "1", "--jobs", "1")
     for words in ((command, "evaluate", *quick), (python, "-m", "baselines", "evaluate", *quick, "--out", "again")):
         print(run(*words, cwd=folder)[-200:])
     assert (folder / "again" / "report.html").exists()

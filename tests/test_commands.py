@@ -32,7 +32,7 @@ QUICK = {
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
     "pages": "policies --check",
-    "verify": "vehicles-v2 --policy open-loop --cells slow-calm@otter",
+    "verify": "vehicles-v3 --policy open-loop --cells slow-calm@otter",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
     "clean": "",
@@ -188,7 +188,7 @@ def test_docs_are_built_without_a_warning(copy, browser):
         pytest.param("bench", r"(\d+) of \1 rows measured: runs/quick/speed.json", "", marks=pytest.mark.slow),
         pytest.param("train", "agent: run/agent", "run/agent/agent.json", marks=pytest.mark.slow),
         pytest.param("train-all", "", "runs/shipped/ppo-cruise", marks=[pytest.mark.slow, pytest.mark.long]),
-        pytest.param("verify", r"equal +open-loop in vehicles-v2: \d+ numbers of 1 cells", "", marks=pytest.mark.slow),
+        pytest.param("verify", r"equal +open-loop in vehicles-v3: \d+ numbers of 1 cells", "", marks=pytest.mark.slow),
     ],
 )
 def test_verb_runs_in_a_quick_form(verb, says, file, copy):
@@ -265,7 +265,7 @@ def folder(tmp_path_factory):
             if re.fullmatch(r"\w+\.(py|toml|csv)", name) and language in ("python", "toml", "csv"):
                 (folder / name).write_text(text, encoding="utf-8")
     trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
-    for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
+    for run, agent in {"apg-cruise": "ppo-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")

@@ -134,8 +134,8 @@ def test_messages_of_missing_extras(monkeypatch, tmp_path):
 def test_suites_of_an_installed_package(monkeypatch):
     """Only a checkout has those of the studies."""
     monkeypatch.setattr(files, "DATA_FOLDERS", files.DATA_FOLDERS[:1])
-    assert suites.list_suites() == ["benchmark-v2", "benchmark-v2-validation"]
-    (file,) = recorded.recorded_files("benchmark-v2")
+    assert suites.list_suites() == ["benchmark-v3", "benchmark-v3-validation"]
+    (file,) = recorded.recorded_files("benchmark-v3")
     assert {run.policy for run in ResultFile.read(file).runs} >= set(list_policies())
-    with pytest.raises(suites.SuiteError, match="unknown suite 'sealed-v2'; allowed are benchmark-v2, benchmark-v2-va"):
-        suites.load_suite("sealed-v2")
+    with pytest.raises(suites.SuiteError, match="unknown suite 'hard-v1'; allowed are benchmark-v3, benchmark-v3-va"):
+        suites.load_suite("hard-v1")

@@ -23,6 +23,11 @@ class RandomMismatch:
     Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
     loss in turns has the factor of the surge drag.
 
+    Y_ur, N_uv and X_vr have the factors of m11, m22 - m11 and m22, since sources count added mass in these terms, up to
+    all of it: a Munk moment that N_uv cancels (M. M. Munk, NACA report 184, 1924) stays cancelled in every draw. What
+    is left of a sum m11 - Y_ur, m22 - m11 - N_uv or m22 - X_vr, with the lift in it, scales as a whole, so its sign
+    never changes.
+
     With `vehicles` the true vehicle is one of an ensemble, and the factors apply to it. A row has the parameters of
     `physics.units.DIMENSIONS` in their order, `Vehicle.all_coefficients`: 13 numbers, or all 25 if the nominal vehicle
     has cross terms.
@@ -78,12 +83,13 @@ class RandomMismatch:
         return Vehicle.unchecked(self._true(row, [draw(interval, uniform) for interval in self._intervals]))
 
     def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
-        """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
+        """Return the stiffest vehicles of the distribution, as rows: least m33 with all other extremes.
 
-        Much quadratic drag gives a fast decay; little drag allows high speeds.
+        Much quadratic drag gives a fast decay; little drag allows high speeds. Small masses give a fast decay, large
+        ones a large Munk moment.
         """
         mass, ratio, m33, *drags = map(_ends, self._intervals)
-        corners = np.array([*itertools.product(mass[:1], ratio, m33[:1], *drags)]).T
+        corners = np.array([*itertools.product(mass, ratio, m33[:1], *drags)]).T
         several = [np.broadcast_arrays(*self._true(row, corners)) for row in self._rows(vehicle)]
         return tuple(map(np.concatenate, zip(*several, strict=True)))
 
@@ -99,7 +105,7 @@ class RandomMismatch:
     def _least_ratio(self, row: Sequence[float]) -> float:
         """Return the least factor on m22/m11 with which the parameters are those of a `Vehicle`."""
         m11, m22, Y_ur = row[0], row[1], row[10]
-        return MIN_MASS_RATIO * (1 + 1e-9) * max(m11, m11 - Y_ur / _ends(self.mass)[0]) / m22
+        return MIN_MASS_RATIO * (1 + 1e-9) * max(m11, m11 - Y_ur) / m22
 
     def _true(self, row: Sequence[Number], factors: Iterable[Number]) -> tuple[Number, ...]:
         """Return the parameters of a vehicle with factors applied: floats or rows, as `Vehicle.all_coefficients`."""
@@ -110,12 +116,14 @@ class RandomMismatch:
             *damping, eps = cross
             least = sway + (yaw - sway) * (yaw < sway)
             names = CrossTerms._fields[:-1]
-            scaled = [c * (surge if name[0] == "X" else least) for name, c in zip(names, damping, strict=True)]
+            factor = {"X_vv": surge, "X_vr": mass * ratio, "X_rr": surge}
+            scaled = [c * factor.get(name, least) for name, c in zip(names, damping, strict=True)]
             cross = [*scaled, eps]
+        munk = mass * ((m22 * ratio - m11) / (m22 - m11))
         return (
             m11 * mass, m22 * mass * ratio, m33 * inertia, d11 * surge, d22 * sway, d33 * yaw,
             X_uu * surge + more[0], Y_vv * sway + more[1], N_rr * yaw + more[2],
-            Y_uv * sway, Y_ur, N_uv, N_ur * yaw, *cross,
+            Y_uv * sway, Y_ur * mass, N_uv * munk, N_ur * yaw, *cross,
         )  # fmt: skip
 
 

@@ -22,11 +22,13 @@ State: TypeAlias = tuple[Number, Number, Number, Number, Number, Number]
 Force: TypeAlias = tuple[Number, Number]
 """F_u [N], F_r [N m]."""
 Load: TypeAlias = tuple[Number, Number, Number]
-"""Total force on the vehicle in the body frame: surge [N], sway [N], yaw [N m]; its actuators give (F_u, 0, F_r)."""
+"""Total force on the vehicle in the body frame: surge [N], sway [N], yaw [N m]; its actuators give (F_u, 0, F_r), where
+the rudder's side force does not count, and a force from outside gives `from_outside`."""
 CurrentVelocity: TypeAlias = tuple[Number, Number]
 """V_x, V_y [m/s] of the water in the world."""
 
 STILL_WATER: CurrentVelocity = (0.0, 0.0)  # [m/s]
+_WITH_EPS = 22  # number of coefficients behind m11, m22, m33 if eps is the last one
 
 
 def rates(
@@ -64,9 +66,26 @@ def rates(
         (Y - sway * r - (d22 + Y_vv * abs(v)) * v) / m22,  # (2b)
         (munk * v - (d33 + N_rr * abs(r)) * r + N) / m33,  # (2c)
     )
-    if cross:  # the side force that comes with the torque N cancels eps N / m33
+    if cross:  # the side force that comes with the torque N cancels eps N / m33, see `from_outside`
         v_dot = v_dot + eps * (r_dot - torque / m33)
     return x_dot, y_dot, u_dot, v_dot, r_dot
+
+
+def from_outside(load: Load, coefficients: Sequence[Number]) -> Load:
+    """Return a force from outside on the origin, such as that of waves, as a part of the load of `rates`.
+
+    With eps, `rates` takes a yaw moment N for that of a rudder, with its side force -N / arm, arm = m33 / (m22 eps). A
+    moment from outside has no such force, so Y gains N / arm.
+
+    Args:
+        load: X, Y [N], N [N m].
+        coefficients: as of `rates`.
+    """
+    _, m22, m33, *more = coefficients
+    if len(more) < _WITH_EPS:
+        return load
+    X, Y, N = load
+    return X, Y + more[-1] * m22 / m33 * N, N
 
 
 def state_rates(

@@ -124,6 +124,7 @@ class Vehicle:
     eps = m33 / (m22 arm) ahead of the origin, the centre of percussion, does not feel this force. It is the tracked
     point: positions x, y and the sway velocity v + eps r are those of this point, and only drag and lift act on it
     sideways (K. D. Do and J. Pan, Control of Ships and Underwater Vehicles, Springer 2009). eps is 0 for a pure torque.
+    A yaw moment from outside, such as that of waves, comes without that side force, see `dynamics.from_outside`.
 
     The design speed acts on nothing: with mass and length it is the measure that scenarios and gains are scaled by, see
     `auv_gym.physics.units`.

@@ -17,7 +17,7 @@ from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import NOISES
-from auv_gym.physics.intervals import check_number
+from auv_gym.physics.intervals import Interval, check_number
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -36,6 +36,13 @@ from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
 """Largest number of integration steps per control period that is chosen for a vehicle."""
+FIN_WAVES = 0.25
+"""Largest RMS yaw moment of waves in an adapted scenario, as a share of the torque of full fins at the path speed."""
+FIN_SURGE = 0.8
+"""Least initial surge velocity of a vehicle with fins in an adapted scenario, as a share of that of the reference: at
+0.3 of it fins have a tenth of their torque."""
+FIN_OFFSETS = 0.25
+"""Factor of the initial errors of a vehicle with fins in an adapted scenario, on top of the scale of lengths."""
 
 
 def changed(
@@ -106,7 +113,7 @@ class Sea:
             gust, shear = current.gust * unit, scaled(current.shear, unit)
             current = replace(current, speed=self.current, relative=False, cap=math.inf, gust=gust, shear=shear)
         if waves is not None and self.waves is not None:
-            forces = {axis: getattr(waves, axis) * self.waves for axis in ("surge", "sway", "yaw")}
+            forces = {axis: getattr(waves, axis) * self.waves for axis in ("surge", "sway", "yaw", "most_yaw")}
             waves = replace(waves, **forces) if self.waves else None
         none = self.current == (0.0, 0.0) or (self.current is None and scenario.current is None)
         return _integrable(scenario, name=f"{name}-sea{at}{vehicle}", current=None if none else current, waves=waves)
@@ -135,6 +142,9 @@ def _integrable(scenario: Scenario, **changes: Any) -> Scenario:
 def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     """Return a scenario for another vehicle, for one for the vehicle of the paper; a fixed path does not change.
 
+    For a vehicle with fins waves are limited by `FIN_WAVES`, and it starts nearer to the reference, see `FIN_SURGE` and
+    `FIN_OFFSETS`.
+
     Raises:
         ValueError: see `check_adaptable`; paths are too slow for the fins, or no integration step is short enough.
     """
@@ -157,10 +167,18 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
                 f"scenario {scenario.name!r} has speeds from {low:.3g} m/s, but the fins of this vehicle need at least "
                 f"{vehicle_model.slowest:g} m/s; take a faster scenario, such as those of the range cruise"
             )
-    drag = vehicle_model.drag(path.speed[1] if isinstance(path.speed, tuple) else path.speed)
+    fastest = path.speed[1] if isinstance(path.speed, tuple) else path.speed
+    drag, actuators = vehicle_model.drag(fastest), _adapted_actuators(scenario.actuators, vehicle_model, units)
     if waves is not None:  # the same ratio of forces to drag, including quadratic drag and lift
         surge, sway, yaw = waves.surge * drag[0] / v.d11, waves.sway * drag[1] / v.d22, waves.yaw * drag[2] / v.d33
-        changes["waves"] = replace(waves, surge=surge, sway=sway, yaw=yaw / units.length)  # of d33 U / (1 m)
+        most = FIN_WAVES * min(actuators.fin, actuators.F_r_max / fastest**2) if actuators.fin else math.inf
+        changes["waves"] = replace(
+            waves, surge=surge, sway=sway, yaw=yaw / units.length, most_yaw=min(waves.most_yaw, most)
+        )  # yaw is of d33 U / (1 m)
+    if actuators.fin:
+        start = changes["start"]
+        errors = {name: scaled(getattr(start, name), FIN_OFFSETS) for name in ("x_e", "y_e", "psi_e")}
+        changes["start"] = replace(start, **errors, surge=_at_least(FIN_SURGE, start.surge))
     return _integrable(
         scenario,
         vehicle=v,
@@ -169,10 +187,15 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
         error_scale=scenario.error_scale * units.length,
         lost_distance=scenario.lost_distance * units.length,
         mismatch=_adapted_mismatch(scenario.mismatch, drag, units, v),
-        actuators=_adapted_actuators(scenario.actuators, vehicle_model, units),
+        actuators=actuators,
         effects=tuple(one.scaled(units) for one in scenario.effects),
         **changes,
     )
+
+
+def _at_least(least: float, value: Interval) -> Interval:
+    """Return a number, or both ends of an interval, raised to a least value."""
+    return (max(value[0], least), max(value[1], least)) if isinstance(value, tuple) else max(value, least)
 
 
 def _adapted_mismatch(

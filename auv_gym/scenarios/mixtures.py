@@ -5,21 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.faults import RandomFaults
+from auv_gym.effects.sensors import NOISES
 from auv_gym.effects.waves import RandomWaves
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 
 Mixture = tuple[tuple[Scenario, float], ...]
 
 CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0}
 """Weights of the cases with the largest errors and the most failures; the other cases have weight 1."""
-ADVERSE_WEIGHT = 8.0  # weight of the adverse scenario in the mixture of a speed range
 _WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
 LONG_OUTAGE_TIME = (5.0, 35.0)  # [s]
 FAR = {"slow": 5.0, "cruise": 8.0}  # [m] largest distance of a start on each axis
+OFFSETS = {"slow": 0.05, "cruise": 0.1}  # [m/s] largest error of the measured velocity
+LAG_WEIGHTS = {"slow": 1.0, "cruise": 3.0}  # of storms with a large lag, in which fast vehicles are unstable
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] duration of an outage of position fixes
 
 
@@ -34,16 +38,16 @@ def adverse(speed_range: str) -> Scenario:
     The range of each fault includes none.
     """
     storm = PRESETS[f"{speed_range}-storm"]
-    act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
+    act, waves, current, largest = storm.actuators, storm.waves, storm.current, 3 * TYPICAL_NOISE[speed_range].noise[3]
     assert isinstance(waves, RandomWaves)
     assert isinstance(current, RandomCurrent)
     return replace(
         storm,
         name=f"{speed_range}-adverse",
         sensors=replace(
-            noise,
+            storm.sensors,
             heading_bias=(-0.06, 0.06),
-            velocity_bias=(-3 * noise.noise[3], 3 * noise.noise[3]),
+            velocity_bias=(-largest, largest),
             yaw_rate_bias=(-0.006, 0.006),
             outages=1.0,
             outage_time=OUTAGE_TIMES[speed_range],
@@ -53,6 +57,42 @@ def adverse(speed_range: str) -> Scenario:
         actuators=Actuators(
             act.F_u_max, act.F_r_max, lag=(0.0, 0.7), effectiveness=(0.6, 1.0), reach=(0.45, 1.0), delay=(0.0, 3.0)
         ),
+    )
+
+
+def hard_sensors(speed_range: str) -> Mixture:
+    """Return storms and noise with velocities that freeze, jump or are biased, and with noise of the position in time.
+
+    A fault of the velocity begins at a random time and lasts for up to 40 s.
+    """
+    largest, parts = OFFSETS[speed_range], list[tuple[Scenario, float]]()
+    for case in ("storm", "noise"):
+        preset = PRESETS[f"{speed_range}-{case}"]
+        faults = RandomFaults(
+            ("velocity frozen", "velocity offset", "velocity offset", "velocity missing"),
+            rate=90.0 / preset.duration,
+            time=(3.0, min(0.7 * preset.duration, 40.0)),
+            offset=(0.0, 1.5 * largest),
+        )
+        biased = replace(preset.sensors, velocity_bias=(-largest, largest))
+        coloured = replace(preset.sensors, correlation=(0.5, 5.0))
+        parts += [
+            (replace(preset, name=f"{preset.name}-velocity", faults=faults), 1.5),
+            (replace(preset, name=f"{preset.name}-biased", sensors=biased), 0.75),
+            (replace(preset, name=f"{preset.name}-correlated", sensors=coloured), 1.25),
+        ]
+    return tuple(parts)
+
+
+def sharp_and_slow(speed_range: str) -> Mixture:
+    """Return storms with sharp turns, and storms with actuators of large lag."""
+    storm = PRESETS[f"{speed_range}-storm"]
+    assert isinstance(storm.path, RandomPath)
+    sharp = replace(storm.path, turn_rate=3 * storm.path.turn_rate, families=("lawnmower", "random_smooth"))
+    lagging = replace(storm.actuators, lag=(0.5, 2.5))
+    return (
+        (replace(storm, name=f"{speed_range}-sharp", path=sharp), 1.0),
+        (replace(storm, name=f"{speed_range}-lag", actuators=lagging), LAG_WEIGHTS[speed_range]),
     )
 
 
@@ -95,7 +135,7 @@ HASTY_WEIGHT = 3.0  # for `helm`, of `hasty`
 
 
 def everything() -> Mixture:
-    """Return the mixture for `helm`: all cases, limited actuator rates, adverse storms and `hasty`."""
+    """Return the mixture for `helm`: all cases, and all that the functions above add."""
     parts: list[tuple[Scenario, float]] = []
     for speed_range in SPEED_RANGES:
         parts += speed_range_mixture(speed_range, {**HARDEST, "waves": 2.0})
@@ -105,16 +145,24 @@ def everything() -> Mixture:
     for speed_range in SPEED_RANGES:
         storm, weight = adverse(speed_range), ADVERSE_WEIGHTS[speed_range]
         parts += [(storm, weight), *((slewing(storm, seconds), 0.5 * weight) for seconds in SLEW_TIMES)]
-    return (*parts, (hasty(), HASTY_WEIGHT))
+        parts += [(scenario, 3 * share) for scenario, share in outages_and_far_starts(speed_range)]
+    parts.append((hasty(), HASTY_WEIGHT))
+    for speed_range in SPEED_RANGES:
+        parts += [*hard_sensors(speed_range), *sharp_and_slow(speed_range)]
+    return tuple(parts)
+
+
+def at_typical_noise(scenario: Scenario) -> Scenario:
+    """Return the scenario with the typical level of each noise that it has."""
+    typical, own = TYPICAL_NOISE[scenario.name.partition("-")[0]], scenario.sensors
+    levels: dict[str, Any] = {name: getattr(typical, name) for name in NOISES if getattr(own, name)}
+    return replace(scenario, sensors=replace(own, **levels))
 
 
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
+    "helm-typical-noise": tuple((at_typical_noise(scenario), weight) for scenario, weight in everything()),
     **{f"{speed_range}-outages": outages_and_far_starts(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
-    **{
-        f"{speed_range}-adverse": (*speed_range_mixture(speed_range), (adverse(speed_range), ADVERSE_WEIGHT))
-        for speed_range in SPEED_RANGES
-    },
 }
 """Mixtures by name."""

@@ -38,14 +38,20 @@ class _SpeedRange:
     lost_distance: float
 
 
+TYPICAL_NOISE = {
+    "slow": Sensors(position=0.03, heading=0.015, velocity=0.01, yaw_rate=0.004),
+    "cruise": Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005),
+}
+"""One level of noise within the ranges of the presets, by speed range."""
+# The ranges are 0.2 to 6 times the typical position noise and 0.3 to 3 times the other levels.
 _SPEED_RANGES = {
     "slow": _SpeedRange(
         RandomPath(speed=(0.1, 0.3), turn_rate=0.04), 0.2, (100.0, 50.0), (40.0, 20.0), 0.3,
-        Sensors(position=0.03, heading=0.015, velocity=0.01, yaw_rate=0.004), 0.04, 1.0, 0.2, 10.0,
+        Sensors((0.006, 0.18), (0.0045, 0.045), (0.003, 0.03), (0.0012, 0.012)), 0.04, 1.0, 0.2, 10.0,
     ),
     "cruise": _SpeedRange(
         RandomPath(speed=(0.5, 1.5), turn_rate=0.12), 0.1, (400.0, 200.0), (250.0, 100.0), 1.0,
-        Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
+        Sensors((0.01, 0.3), (0.0045, 0.045), (0.006, 0.06), (0.0015, 0.015)), 0.12, 0.4, 0.5, 30.0,
     ),
 }  # fmt: skip
 

@@ -34,6 +34,7 @@ from auv_gym.task.simulation import Parameters, Parts
 
 if TYPE_CHECKING:
     from auv_gym.planning.planner import Planner
+    from auv_gym.planning.reserves import Reserves
 
 T = TypeVar("T")
 DRAWS = 96
@@ -311,6 +312,20 @@ class Scenario:
         act = self.actuators
         limits = act.F_u_max, act.F_r_max
         return _planner(self.vehicle, self.control_dt, self.steps, limits, act.fin, self.bound_factor)
+
+    def reserves(self, episode: Episode) -> Reserves:
+        """Return what the known vehicle's motion on its path leaves of the limits, in the mean current of an episode.
+
+        Gusts, shear and turn of the current are left out, see `auv_gym.planning.reserves.reserves`.
+        """
+        from auv_gym.planning.reserves import reserves
+
+        act, now, path = self.actuators, episode.current, episode.path
+        times: Array = self.control_dt * np.arange(self.steps + 1, dtype=np.float64)
+        strength, slowest = math.hypot(now.V_x, now.V_y), float(np.hypot(*path.derivatives(times)[1]).min())
+        share = now.cap * slowest / strength if now.cap * slowest < strength else 1.0
+        current = share * now.V_x, share * now.V_y
+        return reserves(path, self.vehicle, times, (act.F_u_max, act.F_r_max), act.fin, current)
 
     def parameters(self, episode: Episode, parts: Parts | None = None) -> Parameters:
         """Return the constants of an episode.

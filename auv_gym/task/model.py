@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from auv_gym.effects.actuators import Response
-from auv_gym.physics.dynamics import CurrentVelocity, State, rk4_step
+from auv_gym.physics.dynamics import CurrentVelocity, State, from_outside, rk4_step
 from auv_gym.physics.errors import to_body, tracking_errors
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.rows import flatten, numbered
@@ -108,6 +108,7 @@ class Model:
         current: names of the components of the current in a sample.
         load: names of the components of the load in a sample.
         advance: returns the state after a time with load and current held, as `dynamics.rk4_step`.
+        from_outside: returns a load from outside as a part of that of `advance`, as `dynamics.from_outside`.
         over_ground: returns the state with velocities over ground, from (state, current, ns).
         errors: returns the tracking errors, as `errors.tracking_errors`.
         terms: returns the terms of an observation, from (errors, measured state, reference, limits, action, dt, ns).
@@ -126,6 +127,7 @@ class Model:
     current: tuple[str, ...]
     load: tuple[str, ...]
     advance: Callable[..., Any]
+    from_outside: Callable[..., Any]
     over_ground: Callable[..., Any]
     errors: Callable[..., Any]
     terms: Callable[..., tuple[Number, ...]]
@@ -239,6 +241,7 @@ PLANE = Model(
     current=("V_x", "V_y"),
     load=("X", "Y", "N"),
     advance=rk4_step,
+    from_outside=from_outside,
     over_ground=_over_ground,
     errors=tracking_errors,
     terms=_terms,

@@ -186,10 +186,11 @@ def moved(
     """
     model = p.parts.model
     mean, force = respond(force, ordered(command, state, sample, p, ns), p.response, ns)
-    load, current = list(sample[model.load_rows]), current_at(state, sample, p, ns)
+    current = current_at(state, sample, p, ns)
+    coefficients = _Effects(sample, p, ns)("vehicle", p.coefficients.without_lift, state, state)
+    load = list(model.from_outside(sample[model.load_rows], coefficients))
     for component, share in zip(model.driven, mean, strict=True):
         load[model.load.index(component)] = share + load[model.load.index(component)]
-    coefficients = _Effects(sample, p, ns)("vehicle", p.coefficients.without_lift, state, state)
     for _ in range(p.parts.substeps):
         state = model.advance(state, tuple(load), coefficients, p.h, current, ns)
     return state, force

@@ -116,6 +116,11 @@ class Inputs:
         """Number of rows of the memory."""
         return INTEGRALS + (filters.ROWS if self.filters else 0)
 
+    @property
+    def constants(self) -> range:
+        """Rows of the memory that count as constants in derivatives."""
+        return range(INTEGRALS, INTEGRALS + (filters.CONSTANT if self.filters else 0))
+
     def update(
         self,
         o: Sequence[Number],
@@ -185,7 +190,11 @@ def _fine(errors: Sequence[Number], per_U: Number, ns: Namespace) -> tuple[Numbe
 
 def _filter_rows(output: filters.FilterOutput, o: Observation, per_U: Number, ns: Namespace) -> tuple[Number, ...]:
     """Return the rows of `FILTER_FEATURES`."""
-    rows: tuple[Number, ...] = (ns.where(output.held, 1.0, 0.0),)
+    levels = (0.25 * ns.log(ns.clip(level, 1e-4, 1e4)) for level in output.levels)
+    rows: tuple[Number, ...] = (
+        ns.where(output.held, 1.0, 0.0), ns.where(output.velocity_held, 1.0, 0.0), *levels,
+        *(4 * b * per_U for b in output.bias),
+    )  # fmt: skip
     limits = {"X": o.F_u_max, "Y": o.F_u_max, "N": o.F_r_max}
     psi_R = ns.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
     for z in output.estimates:
@@ -263,8 +272,16 @@ FINE_FEATURES = _fine_features("", "measured")
 """Additional features with `Inputs.fine`: the errors on finer scales."""
 FILTER_FEATURES = (
     Feature("held", "1", "1", "1 where there is no new position fix"),
+    Feature("velocity_held", "1", "1", "1 where there is no new measurement of the velocities"),
+    *(
+        Feature(f"noise_{name}", "1", "log(x) / 4", f"squared level of the noise: {name}")
+        for name in filters.MeasuredNoise._fields
+    ),
+    Feature("b_u", "m/s", "0.25 U", "estimated bias of the measured surge velocity"),
+    Feature("b_v", "m/s", "0.25 U", "estimated bias of the measured sway velocity"),
     *_filter_features("rough_", "filter for a rough sea"),
     *_filter_features("calm_", "filter for a calm sea"),
+    *_filter_features("faulty_", "filter for faults of the sensors"),
 )
 """Additional features with `Inputs.filters`."""
 VEHICLE_FEATURES = (

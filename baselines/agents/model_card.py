@@ -20,8 +20,8 @@ underactuated vehicle of `auv_gym` along a reference from noisy measurements.
 `auv-gym evaluate --policy PATH/{name}` runs it, and `baselines.make_policy(PATH, vehicle=V)` returns the policy for a
 vehicle. It runs on NumPy, without torch, and runs no code from this folder.
 
-The agent was trained in simulated episodes of its scenarios only. Its correction is bounded. There is no other
-guarantee of stability, in particular for other vehicles, speeds or sensors.
+The agent was trained in simulated episodes of its scenarios only. There is no guarantee
+of stability, in particular for other vehicles, speeds or sensors.
 """
 
 

@@ -1,4 +1,4 @@
-"""Names of policies: BASE[:guard[=FALLBACK]][:checked] in either order; the base is a name, a path or a command."""
+"""Names of policies: BASE[:guard[=FALLBACK]]; the base is a name, a path or a command."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ AGENT_FOLDER = "agent"  # folder of the trained agent in the folder of a run
 GUARD = ":guard"
 """Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
 name of the fallback may follow."""
-CHECKED = ":checked"
-"""Suffix of a policy's name: implausible measurements are replaced, for its fallback too, see
-`baselines.agents.checked`."""
 COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 
@@ -26,27 +23,13 @@ class PolicyName(NamedTuple):
 
     base: str  # name, path or command of the policy itself
     fallback: str | None = None  # of its guard, "" for the default one; None: it has no guard
-    checked: bool = False  # whether its measurements are checked
 
     @classmethod
     def of(cls, name: str) -> PolicyName:
-        """Return the parts of a name; a command has no suffixes."""
-        if name.startswith(COMMAND):
-            return cls(name)
-        bare = name.removesuffix(CHECKED) or name
-        base, mark, fallback = bare.rpartition(GUARD)
+        """Return the parts of a name; a command has no suffix."""
+        base, mark, fallback = name.rpartition(GUARD)
         guarded = bool(mark and base) and (not fallback or (fallback[0] == "=" and len(fallback) > 1))
-        if not guarded:
-            return cls(bare, None, bare != name)
-        own = base.removesuffix(CHECKED) or base
-        return cls(own, fallback[1:], bare != name or own != base)
-
-    @property
-    def unchecked(self) -> str:
-        """The name without the suffix `CHECKED`."""
-        if self.fallback is None:
-            return self.base
-        return f"{self.base}{GUARD}={self.fallback}" if self.fallback else self.base + GUARD
+        return cls(base, fallback[1:]) if guarded and not name.startswith(COMMAND) else cls(name)
 
     @property
     def kind(self) -> str:

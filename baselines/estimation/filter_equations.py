@@ -222,7 +222,7 @@ def predicted(
     if fault_rows:
         command = acting_forces(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
     after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS)
-    load, _ = mean_load(estimate, command, o.dt, SYMBOLS)
+    load, _ = mean_load(estimate, command, o.dt, coefficients, SYMBOLS)
     others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *fault_rows]
     inputs = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]  # of the equations of motion
     P = congruence(jacobian([*inputs, *others], [*estimate, *fault_rows]), P)

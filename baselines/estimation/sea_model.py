@@ -12,7 +12,7 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 from auv_gym.effects.actuators import Response, respond
-from auv_gym.physics.dynamics import CurrentVelocity, Force, Load, rk4_step
+from auv_gym.physics.dynamics import CurrentVelocity, Force, Load, from_outside, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.vehicle import Coefficients
@@ -108,11 +108,12 @@ def current_after(z: Estimate, dt: Number, ns: Namespace) -> CurrentVelocity:
     return decay * z.V_x + time * z.V_x_rate, decay * z.V_y + time * z.V_y_rate
 
 
-def mean_load(z: Estimate, command: Force, dt: Number, ns: Namespace) -> tuple[Load, Force]:
+def mean_load(z: Estimate, command: Force, dt: Number, coefficients: Coefficients, ns: Namespace) -> tuple[Load, Force]:
     """Return the mean load on the vehicle over one control period, and the actuators' force at its end."""
     (mean_u, mean_r), force = respond((z.F_u, z.F_r), command, lag_response(z.lag, dt, ns), ns)
     X_wave, _, Y_wave, _, N_wave, _ = waves_after(z, wave_transition(dt, ns))
-    return (mean_u + z.X + X_wave, z.Y + Y_wave, mean_r + z.N + N_wave), force
+    X, Y, N = from_outside((z.X + X_wave, z.Y + Y_wave, z.N + N_wave), coefficients)
+    return (mean_u + X, Y, mean_r + N), force
 
 
 def transition(
@@ -133,7 +134,7 @@ def transition(
         coefficients: of the nominal vehicle.
         ns: the namespace of the numbers.
     """
-    load, force = mean_load(z, command, dt, ns)
+    load, force = mean_load(z, command, dt, coefficients, ns)
     current = current_after(z, dt, ns)
     x, y, psi, u, v, r = rk4_step((z.x_e, z.y_e, z.psi, z.u, z.v, z.r), load, coefficients, dt, current, ns)
     step_x, step_y = reference_step

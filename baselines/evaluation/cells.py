@@ -10,6 +10,7 @@ from functools import cached_property, partial
 
 import numpy as np
 from gymnasium.utils import seeding
+from numpy.typing import NDArray
 
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import to_record
@@ -31,6 +32,18 @@ class Cell:
         """SHA-256 of scenario and episodes."""
         episodes = [to_record(episode) | {"path": path_record(episode.path)} for episode in self.episodes]
         return hashlib.sha256(json.dumps([self.scenario.to_dict(), episodes], sort_keys=True).encode()).hexdigest()
+
+    @cached_property
+    def beyond(self) -> NDArray[np.bool_]:
+        """Whether the plan of each episode exceeds the limits, or there is none, in its mean current; shape (M,)."""
+        return np.array([self.scenario.current is not None and _is_beyond(self.scenario, e) for e in self.episodes])
+
+
+def _is_beyond(scenario: Scenario, episode: Episode) -> bool:
+    try:
+        return min(scenario.reserves(episode)) < 0
+    except ValueError:  # it has too many samples in the current, so nothing is known
+        return False
 
 
 def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:

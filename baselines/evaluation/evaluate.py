@@ -37,7 +37,8 @@ def evaluate(request: Request) -> int:
     try:
         done = request.ordered(run_request(request))
         everything = request.ordered([*request.earlier, *done])
-        results, pooled = compare(everything), pool(everything)
+        beyond = {} if request.frozen else {cell.scenario.name: cell.beyond for cell in request.cells}
+        results, pooled = compare(everything, beyond), pool(everything)
         trained = over_seeds(everything, request.trainings)
         texts = {
             "results.json": results_json(request, results, pooled, trained),

@@ -24,7 +24,7 @@ class Options:
     training run. With several training seeds all of them run, and a line has their mean with an interval over seeds and
     episodes."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
-    """A frozen suite, "benchmark-v2" by default, see docs/suites.md. The tables also show the recorded results of other
+    """A frozen suite, "benchmark-v3" by default, see docs/suites.md. The tables also show the recorded results of other
     policies. Or "presets": all presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios instead of a suite: names of presets, or .toml and .json files."""

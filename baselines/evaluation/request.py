@@ -30,7 +30,7 @@ from baselines.tools.workers import Workers
 
 DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
 """The scenarios of each suite whose episodes are drawn from the seed; all other suites are frozen."""
-DEFAULT_SUITE = "benchmark-v2"  # the suite if no scenario is given
+DEFAULT_SUITE = "benchmark-v3"  # the suite if no scenario is given
 DEFAULT_EPISODES = 20  # default number of episodes of each scenario that is not frozen
 _MOST_EPISODES = 100_000  # largest number of episodes of each scenario, which are all drawn ahead
 
@@ -78,6 +78,12 @@ class Request:
             if others:
                 rest = " and runs in those only" if frozen else f", not for {', '.join(others)}"
                 notes.append(f"{name} was trained for {' and '.join(ranges)} scenarios{rest}")
+        notes += [
+            f"{cell.beyond.sum()} of {len(cell.episodes)} episodes of {cell.scenario.name} need more than the limits "
+            "in their current, or have no plan there"
+            for cell in (() if frozen else cells)
+            if cell.beyond.any()
+        ]
         pairs = ((name, cell) for cell in cells for name in names if cell.scenario.name not in untrained[name])
         checked_folder(options.out)
         workers = Workers.of(options.jobs, options.cluster)

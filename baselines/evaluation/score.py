@@ -28,8 +28,7 @@ ORACLE = "oracle"  # a regulator with known plant and disturbances
 OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum, with score 1
 FULL_INFORMATION = (ORACLE, OPTIMUM_POLICY)
 """Reference policies with information that entries may not use."""
-RIVAL = "nmpc"  # the best policy without learning, with sensors and actuators without faults
-ADVERSE_RIVAL = "nmpc-adverse"  # the best policy without learning, with sensor and actuator faults
+RIVAL = "nmpc"  # a policy without learning that others are compared with
 ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Error caps [m] by speed range: the steady-state RMSE from which an episode counts as failed, and beyond which the
 capped score does not fall.
@@ -183,35 +182,4 @@ def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) 
         return Score(math.nan, (math.nan, math.nan))
     if sum(map(len, zero)) < 2:
         return Score(float(values[0]), (math.nan, math.nan))
-    return _with_interval(values)
-
-
-def seeds_score(zero: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
-    """Return the mean score of agents from several training seeds; the interval is over seeds and episodes.
-
-    Args:
-        zero: steady-state errors [m] of the expert in paired episodes, shape (M,) for each case.
-        seeds: errors of the agents from S seeds, shape (S, M) for each case.
-        one: errors of the optimum, as `zero`.
-    """
-    return lead(zero, zero, seeds, one)
-
-
-def lead(zero: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
-    """Return the agents' mean score minus a rival's score, with the interval over training seeds and episodes.
-
-    Args:
-        zero: see `seeds_score`.
-        rival: errors of the rival, as `zero`.
-        seeds: see `seeds_score`.
-        one: see `seeds_score`.
-    """
-    count, weights = len(seeds[0]), resamplings(tuple(map(len, zero)))
-    above, span = np.zeros((RESAMPLES + 1, count)), np.zeros(RESAMPLES + 1)
-    for w, e, r, p, o in zip(weights, zero, rival, seeds, one, strict=True):
-        above += w @ (r - p).T
-        span += w @ (e - o)
-    shares = seed_shares(count)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        values = (above * shares).sum(axis=1) / span
     return _with_interval(values)

@@ -26,8 +26,8 @@ In one C file of the program, write both of these lines, and in the other files 
     #include "{file}"
 
 Call {prefix}_start at the start of an episode. In each control period call {prefix}_steer with the measurements, or
-{prefix}_step with an encoded observation. The code does not allocate memory. It calls sqrt, floor and fabs of the C
-library only.
+{prefix}_step with an encoded observation. The code does not allocate memory. It calls sqrt, log, floor and fabs of the
+C library only.
 
 Both functions return {CAPITALS}_OK. They return {CAPITALS}_REPEATED if no command can be computed because an
 input or a result is not finite or larger than {largest} in magnitude, or a limit or the control period is not positive.
@@ -200,7 +200,7 @@ def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> st
         ("encode", agent.encode, agent.encode.results),
     ):
         function = f"{prefix}_{name}"
-        parts.append(plain_function(function, kernel.graph, kernel.arguments, results, language, precision))
+        parts.append(plain_function(function, kernel.graph, kernel.arguments, results, language, precision, loops=True))
     return "\n".join(parts)
 
 

@@ -13,6 +13,7 @@ from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.task.policy import LARGEST, POSITIVE
 from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import Exported
+from baselines.export.sums import long_sums
 from baselines.export.vectors import Program
 from baselines.policy import A_U
 
@@ -64,16 +65,28 @@ class _Writer:
         """Add the nodes for some results of a graph and return their names; `given` has the names of its inputs."""
         flat = lowered(graph, wanted, self.precision)
         names: dict[int, str] = {}
-        for i in graph.needed(s.index for s in flat):
+        products, needed = long_sums(graph, {s.index for s in flat})
+        first = {product.sums[0]: product for product in products}
+        of_product = {i for product in products for i in product.sums}
+        for i in needed:
             operation, *arguments = graph.nodes[i]
             names[i] = f"{prefix}{i}"
-            if operation == "input":
+            if i in first:
+                factors, sums = first[i].factors, [f"{prefix}{j}" for j in first[i].sums]
+                self.product(f"{prefix}{i}", [names[f] for f in factors], first[i].matrix, sums)
+            elif i in of_product:
+                continue
+            elif operation == "input":
                 names[i] = given[arguments[0]]
             elif operation == "constant":
                 names[i] = self.number(arguments[0])
             elif operation == "single":
                 self.node("Cast", [names[arguments[0]]], [f"{names[i]}_single"], to=self.single)
                 self.node("Cast", [f"{names[i]}_single"], [names[i]], to=self.real)
+            elif operation == "clip" and any(graph.nodes[a][0] != "constant" for a in arguments[1:]):
+                value, low, high = (names[a] for a in arguments)
+                self.node("Max", [value, low], [f"{names[i]}_above"])  # the bounds of Clip are single numbers
+                self.node("Min", [f"{names[i]}_above", high], [names[i]])
             else:
                 self.node(OPERATORS[operation], [names[a] for a in arguments], [names[i]])
         columns = [names[s.index] for s in flat]
@@ -83,6 +96,13 @@ class _Writer:
                 self.node("Expand", [columns[j], f"{prefix}_{j}_shape"], [f"{prefix}_{j}"])
                 columns[j] = f"{prefix}_{j}"
         return columns
+
+    def product(self, name: str, factors: Sequence[str], matrix: Any, sums: Sequence[str]) -> None:
+        """Add the products of a matrix, with a row for each sum, with a column of factors."""
+        self.node("Concat", factors, [f"{name}_factors"], axis=1)
+        turned = self.constant(f"{name}_T", np.transpose(matrix))
+        self.node("MatMul", [f"{name}_factors", turned], [f"{name}_sums"])
+        self.split(f"{name}_sums", sums)
 
     def within(self, array: str, most: float) -> str:
         """Add the mask of the entries of an array whose magnitude is at most `most`, and return its name."""

@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import TYPICAL_NOISE
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.identification import Identified, Log, identify
 from baselines.identification.axes import ContradictionError
@@ -232,7 +232,7 @@ def _written_example(options: Options) -> int:
         raise UsageError(f"--example writes one log, not {len(options.logs)}")
     if file.exists():
         raise UsageError(f"{file} exists; --example does not replace a log, choose another file")
-    example(PAPER_VEHICLE, EXAMPLE_ACTUATORS, PRESETS["cruise-noise"].sensors, options.seed).save(file)
+    example(PAPER_VEHICLE, EXAMPLE_ACTUATORS, TYPICAL_NOISE["cruise"], options.seed).save(file)
     V_x, V_y = EXAMPLE_CURRENT
     print(f"written: {file}, one minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")
     return DONE

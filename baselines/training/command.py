@@ -60,8 +60,7 @@ class Options:
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Training scenarios: names of presets, .toml and .json files, or a mixture; NAME:WEIGHT sets the weight.
     The mixtures "cruise" and "slow" have all cases of a speed range, storms with weight three, noise and slow actuators
-    with weight two. "cruise-adverse" and "slow-adverse" also have storms with sensor and actuator faults. "helm" has
-    both speed ranges and actuators with a rate limit, as the agent of that name.
+    with weight two. "helm" has both speed ranges, faults, outages and slow actuators, as the agent of that name.
     Default: cruise, or the scenarios of the initial agent."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
     """Name of the policy that is corrected; "none" for an agent without an expert. Default: backstepping,

@@ -80,7 +80,7 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
         tasks = [(name, comparison, file) for name, file in files.items() if not file.exists()]
         for name in workers.results(search, tasks):
             print(f"searched the gains of {name} for the vehicle", file=sys.stderr)
-        best = min(files.values(), key=lambda file: float(read_json(file)["validation"]["error_m"]))
+        best = better_gains(out)
         own = [str(agent) for agent in agents]
         policies = *own, *(f"{agent}{GUARD}={best}" for agent in own), comparison.agent, *map(str, files.values())
         comparison.scenario.save(out / STORM)
@@ -100,6 +100,12 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
         write_atomically(out / "comparison.md", text)
         write_atomically(out / RESULT, json_text(record))
     return text
+
+
+def better_gains(out: Path) -> Path:
+    """Return the file of gains in a folder of results whose controller has the smallest error on other episodes."""
+    files = (out / GAINS_FOLDER / f"{name}.json" for name in CONTROLLERS)
+    return min(files, key=lambda file: float(read_json(file)["validation"]["error_m"]))
 
 
 def search(name: str, comparison: Comparison, file: Path) -> str:

@@ -20,9 +20,11 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.agent import WEIGHTS, Agent
 from baselines.agents.names import agent_folder, shipped_agents
+from baselines.evaluation.cells import drawn
 from baselines.tools.files import read_bytes
 from baselines.training.config import Config, Origin
 
+_TRIED = 16  # episodes of a scenario that a vehicle must be able to follow
 ALGO = "apg"  # the algorithm that can train an agent further
 OF_AGENT = ("hidden_size", "memory", "preview", "integrals", "fine", "filters")
 """Hyper-parameters that the shapes of an agent's weights depend on."""
@@ -103,7 +105,12 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
     for scenario, weight in mixture:
         check_adaptable(scenario)
         try:
-            scenarios.append((changed(scenario, vehicle_model), weight))
+            adapted = changed(scenario, vehicle_model)
+            for seed in range(
+                _TRIED
+            ):  # raises if the vehicle cannot follow its paths, such as turns too sharp for fins
+                drawn(adapted, 1, seed)
+            scenarios.append((adapted, weight))
         except ValueError as error:
             reasons.append(str(error))
     if not scenarios:

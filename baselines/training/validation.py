@@ -19,7 +19,7 @@ from baselines.evaluation.suites import load_suite
 from baselines.policies import make_policy
 from baselines.tools.seeds import VALIDATION
 
-_SUITE = "benchmark-v2-validation"  # suite with the validation episodes of its scenarios
+_SUITE = "benchmark-v3-validation"  # suite with the validation episodes of its scenarios
 VALIDATED_EPISODES = 64  # of each scenario that is not in the suite
 _FEW = 12  # the same for a short training
 VALIDATION_PRECISION = "float32"  # of agents' networks: a fifth of the time; the score differs by 1e-6

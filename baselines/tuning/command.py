@@ -1,7 +1,7 @@
 """Tune a controller's gains on tuning episodes: `auv-gym tune --help`.
 
-The objective is the error from which the score is computed: the mean over the cases of a speed range of the
-steady-state RMSE, which is limited to the error cap in each episode.
+The objective is the mean over the episodes of a speed range of the steady-state RMSE, which is limited to the error cap
+in each episode, plus a price of the rate of the command, see `objective.RATE_PRICE`; with --error-only without it.
 """
 
 from __future__ import annotations
@@ -60,11 +60,13 @@ class Options:
     evaluations: int = EVALUATIONS
     """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
-    """Episodes of each evaluation, a multiple of 16, so that each case has the same number."""
+    """Episodes of each evaluation, a multiple of 32, so that each case has the same number."""
     start: Path | None = None
     """A JSON file of gains by name, at which the search starts; they may stand in its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""
+    error_only: bool = False
+    """Search for the smallest error, without a price of the rate of the command."""
     dry_run: bool = False
     """Print the result; do not write the file."""
     ship: bool = False
@@ -91,7 +93,8 @@ def main(arguments: Sequence[str]) -> int:
     checked(partial(tunable.factory, dict(start), vehicle=in_paper_units.vehicle))
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
-        return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model)
+        priced = not options.error_only
+        return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model, priced=priced)
 
     try:
         vehicle = in_paper_units.vehicle
@@ -120,8 +123,8 @@ def _tunable(options: Options) -> Tunable:
             f"--vehicle {options.vehicle}: the gains of {options.name} have no known units, so the search is for the "
             "vehicle of the paper only"
         )
-    if options.ship and (own or options.vehicle != PAPER.name):
-        raise UsageError("--ship is for controllers of the package and the vehicle of the paper")
+    if options.ship and (own or options.vehicle != PAPER.name or options.error_only):
+        raise UsageError("--ship is for controllers of the package, the vehicle of the paper and the whole objective")
     return Tunable(partial(_of_file, options.name), ()) if own else TUNABLES[options.name]
 
 

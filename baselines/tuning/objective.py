@@ -57,15 +57,25 @@ TUNABLES: dict[str, Tunable] = {
 """The controllers that can be tuned, by name: add an entry here. It includes those of `TUNED`."""
 
 
+RATE_PRICE = {"slow": 0.0025, "cruise": 0.0007}
+"""Weight [s^2] of the squared rate of the command, beside the error in units of the scenario's `error_scale`. The loss
+of the agent `helm` has the same. Without a price a search makes commands rough for a small gain."""
+
+
 @dataclass(frozen=True)
 class TuningResult:
     """The results of a policy in a speed range."""
 
+    cost_m: float  # the objective: mean error plus the price of the command's rate
     error_m: float  # mean over the episodes of the capped steady-state RMSE
     case_error_m: dict[str, float]  # the same by case
     failed: float  # share of failed episodes
     effort: float  # mean square command
     smoothness: float  # mean squared change of the command
+
+
+MORE = {"storm": 5, "noise": 3}
+"""Further scenarios of a cycle. Most of the error is that of storms, and most of it is that of rare divergence."""
 
 
 def tuning_scenarios(
@@ -78,14 +88,16 @@ def tuning_scenarios(
 
     Args:
         speed_range: "slow" or "cruise".
-        world: "plain" for the eight cases of the speed range; "adverse" for these and as many storms with faults.
+        world: "plain" for the eight cases of the speed range and `MORE`; "adverse" for these and as many storms with
+            faults.
         vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
         sea: current and waves in place of those of the scenarios, in SI units.
 
     Raises:
         ValueError: its fins have no effect at the speeds of the scenarios.
     """
-    cases = tuple(PRESETS[f"{speed_range}-{case}"] for case in CASES)
+    names = (*CASES, *(case for case, times in MORE.items() for _ in range(times)))
+    cases = tuple(PRESETS[f"{speed_range}-{case}"] for case in names)
     every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
     if vehicle_model == PAPER and sea == Sea():
         return every
@@ -104,6 +116,7 @@ class TuningEpisodes:
         world: see `tuning_scenarios`.
         vehicle_model: see `tuning_scenarios`.
         sea: see `tuning_scenarios`.
+        priced: whether the objective has the price of the command's rate.
     """
 
     def __init__(
@@ -114,11 +127,14 @@ class TuningEpisodes:
         world: str = "plain",
         vehicle_model: VehicleModel = PAPER,
         sea: Sea = Sea(),  # noqa: B008, it is frozen
+        priced: bool = True,
     ) -> None:
         cycle = tuning_scenarios(speed_range, world, vehicle_model, sea)
         self._names = [cycle[i % len(cycle)].name.removeprefix(f"{speed_range}-") for i in range(episodes)]
         self.cap = ERROR_CAPS[speed_range]
         self.steps, self.lost_distance = cycle[0].steps, cycle[0].lost_distance
+        price = RATE_PRICE[speed_range] if priced else 0.0
+        self._price = 2 * cycle[0].error_scale * price / cycle[0].control_dt ** 2  # of two channels
         # No episode ends or begins during a run: one more step than a run has, and a larger `lost_distance`.
         longer = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in cycle]
         scenarios = [longer[i % len(cycle)] for i in range(episodes)]
@@ -136,12 +152,14 @@ class TuningEpisodes:
             PolicyError: its actions are not finite.
         """
         steady_rmse, failed, actions = self.steady_rmses(policy)
+        error, rate = float(steady_rmse.mean()), smoothness(actions)
         return TuningResult(
-            error_m=float(steady_rmse.mean()),
+            cost_m=error + self._price * rate,
+            error_m=error,
             case_error_m={name: float(errors.mean()) for name, errors in self.by_case(steady_rmse).items()},
             failed=float(np.mean(failed)),
             effort=effort(actions),
-            smoothness=smoothness(actions),
+            smoothness=rate,
         )
 
     def by_case(self, values: Array) -> dict[str, Array]:

@@ -85,7 +85,7 @@ def tune(
 
     def cost(x: Array, episodes: TuningEpisodes) -> float:
         result = episodes.run(factory(_gains(names, x)))
-        return result.error_m
+        return result.cost_m
 
     if budget.generations:
         import cma
@@ -119,6 +119,8 @@ def search_record(
 ) -> dict[str, Any]:
     """Return the record of a search: gains, origin, and results on validation episodes.
 
+    A search whose result is not better there than its start keeps the start.
+
     Args:
         tunable: the controller.
         draw: returns episodes.
@@ -129,16 +131,23 @@ def search_record(
         show: displays the progress.
     """
     factory = partial(tunable.factory, vehicle=vehicle)
-    gains = tune(factory, draw, start, budget, show) if budget.evaluations else dict(start)
-    policies = factory(dict(gains)), make_policy(EXPERT, vehicle=vehicle)
-    result, expert = map(draw(check, VALIDATION_SEED).run, policies)
+    found = tune(factory, draw, start, budget, show) if budget.evaluations else dict(start)
+    episodes = draw(check, VALIDATION_SEED)
+    before, after = (episodes.run(factory(dict(gains))) for gains in (start, found))
+    gains, result = (found, after) if after.cost_m < before.cost_m else (dict(start), before)
+    expert = episodes.run(make_policy(EXPERT, vehicle=vehicle))
     return {
         "gains": gains,
         "start": dict(start),
         "evaluations": budget.evaluations,
         "episodes": budget.episodes,
         "world": tunable.world,
-        "validation": {"episodes": check, "seed": VALIDATION_SEED, **compared(result, expert)},
+        "validation": {
+            "episodes": check,
+            "seed": VALIDATION_SEED,
+            "start_cost_m": before.cost_m,
+            **compared(result, expert),
+        },
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }

@@ -33,7 +33,7 @@ class Options:
 
     Exit status: 0 done, 1 a policy failed or the file could not be written, 2 wrong usage.
 
-    Example: auv-gym video --policy backstepping apg-cruise --scenario cruise-storm --seed 6 --out storm.mp4
+    Example: auv-gym video --policy backstepping ppo-cruise --scenario cruise-storm --seed 6 --out storm.mp4
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = (EXPERT,)

@@ -23,7 +23,7 @@ from research.pages import table
 
 SHOWN = ("steady [m]", "p95 [m]", "score", "failures", "settled [s]", "effort")
 """The columns of the table of results."""
-SUITE = "benchmark-v2"
+SUITE = "benchmark-v3"
 PAGE = """# {name}
 
 {case}

@@ -27,9 +27,9 @@ QUICK = "paper-circle"
 
 
 def shown_policies(scenario: str) -> tuple[str, ...]:
-    """Return the policies in the video of a scenario: the expert and the agent for its speed range, if there is one."""
+    """Return the policies in the video of a scenario: the expert, and the agent if the scenario has a speed range."""
     speed_range = speed_range_of(scenario)
-    return ("backstepping", f"apg-{speed_range}") if speed_range else ("backstepping",)
+    return ("backstepping", "helm") if speed_range else ("backstepping",)
 
 
 def video_file(scenario: Scenario, folder: Path) -> Path:

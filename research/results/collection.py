@@ -1,7 +1,8 @@
-"""The recorded results of the frozen suites."""
+"""The recorded results of the frozen suites, and the comparison with the best controller of each cell."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -10,9 +11,12 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.recorded import recorded_runs
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, paired, speed_range_of
+from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, Score, capped, error_cap, paired, relative_error
 from baselines.evaluation.suites import Suite, SuiteError, load_suite
 
+MAIN_AGENT = "helm"  # the agent that the pages compare with `CONTROLLERS`
+CONTROLLERS = ("nmpc", "nmpc-adverse", "ekf", "los-pid", "lqi")
+"""Tuned controllers; an error is compared with that of the best of them in each cell."""
 ROUNDING = 1e-5
 """Difference of mean errors [m] by which another policy may be better than the full-information optimum in a case: the
 tolerance of the solver."""
@@ -40,10 +44,35 @@ class Results:
         """The policies, in the order of the registry."""
         return list(dict.fromkeys(run.policy for run in self.runs))
 
-    def steady_rmses(self, policy: str, speed_range: str) -> dict[str, Array]:
-        """Return the steady-state errors [m] of a policy by scenario of a speed range, shape (M,) each."""
-        names = [name for name, case in self.cases.items() if speed_range_of(name) == speed_range and policy in case]
-        return {name: self.cases[name][policy].steady_rmse for name in names}
+    def errors(self, policy: str, speed_range: str = "") -> dict[str, Array]:
+        """Return the steady-state errors [m] of a policy by cell, failed episodes with the error cap, (M,) each.
+
+        Args:
+            policy: its name; * stands for the speed range.
+            speed_range: of the cells; "" for all.
+        """
+        named = {cell: policy.replace("*", cell.partition("-")[0]) for cell in self.cases}
+        return {
+            cell: capped(case[named[cell]], error_cap(cell))
+            for cell, case in self.cases.items()
+            if cell.startswith(speed_range) and named[cell] in case
+        }
+
+    @cached_property
+    def best(self) -> dict[str, str]:
+        """The controller of `CONTROLLERS` with the smallest mean error, by cell."""
+        every = {policy: self.errors(policy) for policy in CONTROLLERS}
+        return {cell: min(CONTROLLERS, key=lambda policy: every[policy][cell].mean()) for cell in self.cases}
+
+    def to_best(self, errors: Mapping[str, Array]) -> Score:
+        """Return the geometric mean over cells of the ratio of mean errors to those of the best controller.
+
+        Args:
+            errors: as `errors` returns them, or of agents from S training seeds, shape (S, M) for each cell.
+        """
+        rivals = (capped(self.cases[cell][self.best[cell]], error_cap(cell)) for cell in errors)
+        pairs = [(theirs[: own.shape[-1]], own) for theirs, own in zip(rivals, errors.values(), strict=True)]
+        return relative_error(*map(list, zip(*pairs, strict=True)))
 
     def better_than(self, best: str) -> list[tuple[str, str, float]]:
         """Return the policies with a smaller mean error than `best` in a case: case, policy, difference [m].
@@ -64,10 +93,10 @@ def results_of(name: str) -> Results:
     """Return the recorded results of a suite.
 
     Raises:
-        SuiteError: the results of the expert or the optimum are missing or outdated.
+        SuiteError: results of the expert, of a controller or of `MAIN_AGENT` are missing or outdated.
     """
     suite = load_suite(name)
     runs, notes = recorded_runs(suite)
-    if missing := sorted({EXPERT, OPTIMUM_POLICY} - {run.policy for run in runs}):
+    if missing := sorted({EXPERT, MAIN_AGENT, *CONTROLLERS} - {run.policy for run in runs}):
         raise SuiteError(f"{name} has no valid results of {', '.join(missing)}: {'; '.join(notes) or 'record them'}")
     return Results(suite, runs)

@@ -1,54 +1,59 @@
-"""The pages docs/results/SUITE.md of the frozen suites: all policies in each speed range."""
+"""The pages docs/results/SUITE.md: the main agent beside the best controller by cell, all policies, training seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from auv_gym.scenarios.presets import SPEED_RANGES
-from baselines.evaluation.metrics import bootstrap_interval
-from baselines.evaluation.report.columns import COLUMNS, Column, ranked
+from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, interval_text, score_text
+from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, capped, count_failures, error_cap
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.pages import table
-from research.results.collection import ROUNDING, Results, results_of
+from research.pages import table, with_interval
+from research.results import error_only
+from research.results.collection import CONTROLLERS, MAIN_AGENT, ROUNDING, Results, results_of
+from research.trainings.seed_runs import SEED_RUNS, SeedRuns, trained
 
-_COLUMNS = {
-    "steady_rmse_m.mean": ("error [mm]", 1e3),
-    "steady_rmse_m.cvar95": ("worst 5 % [mm]", 1e3),
-    "score.mean": ("score", 1.0),
-    "failed": ("failures", 1.0),
-    "effort_ratio": ("effort", 1.0),
-    "smoothness_ratio": ("command rate", 1.0),
-    "decision_ms": ("time [us]", 1e3),
+DESCRIPTIONS = {
+    "benchmark-v3": "The disturbances of the training from other seeds, and two fixed levels of position noise, of "
+    "which that of an ultra-short baseline (`usbl`) is beyond the training.",
+    "hard-v1": "Storms with one thing that is hard: velocities that fail, correlated noise, dead reckoning, outages, "
+    "sharp turns, slow actuators, faults, far starts, other vehicles, other speeds, long missions.",
+    "sealed-v3": "Conditions that were secret until all policies were frozen.",
 }
-"""Columns of the report on the page, with their headings and factors."""
-_DESCRIPTIONS = {
-    "benchmark-v2": "The disturbances of the training, drawn from other seeds.",
-    "sealed-v2": "Conditions on which most agents were not trained. The episodes were secret until all policies were "
-    "frozen. `helm-any` was trained on large initial errors and on outages as long as these.",
-}
+"""What each suite with such a page tests."""
+_CELL_HEADS = (
+    "cell", "best controller", "its error [mm]", f"`{MAIN_AGENT}` [mm]", f"`{MAIN_AGENT}` / best",
+    f"failures: best, `{MAIN_AGENT}`", "command rate / best",
+)  # fmt: skip
+_POLICY_HEADS = ("policy", "error / best", "failures", "effort", "command rate", "time [us]")
+_SEED_HEADS = ("training", "seeds", "error / best", "failures", "command rate")
 
 
 def context(page: str) -> dict[str, Any]:
     """Return the values of the template of a suite's page."""
     results = results_of(page.rpartition("/")[2])
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
+    name = results.suite.name
+    agents = trained(name) if (SEED_RUNS / f"{name}.npz").exists() else {}
+    others = {key: runs for key, runs in agents.items() if key != error_only.NAME}
     return {
         "template": "suite",
-        "what": _DESCRIPTIONS[results.suite.name],
+        "what": DESCRIPTIONS[name],
         "suite": results.suite,
         "episodes": sum(len(cell.episodes) for cell in results.suite.cells),
         "dates": f"on {dates[0]}" if len(dates) == 1 else f"from {dates[0]} to {dates[-1]}",
-        "speed_ranges": [_speed_range(results, speed_range) for speed_range in SPEED_RANGES],
+        "agent": MAIN_AGENT,
+        "controllers": ", ".join(map("`{}`".format, CONTROLLERS)),
+        "headline": headline(results),
+        "cells": table(_CELL_HEADS, cell_rows(results)),
+        "speed_ranges": [(r, table(_POLICY_HEADS, policy_rows(results, r))) for r in SPEED_RANGES],
+        "seeds": table(_SEED_HEADS, seed_rows(results, others)) if others else "",
         "zero": EXPERT,
-        "one": OPTIMUM_POLICY,
-        "oracle": ORACLE,
-        **_optimum(results),
+        **(_optimum(results) if OPTIMUM_POLICY in results.policies else {"one": ""}),
     }
 
 
@@ -60,37 +65,85 @@ def figures(page: str) -> dict[str, bytes]:
         return {f"results-{results.suite.name}.png": to_png(error_figure(results, list(names)))}
 
 
-def _speed_range(results: Results, speed_range: str) -> tuple[str, int, str]:
-    """Return the name of a speed range, its number of episodes, and the table of all policies in it."""
-    entries = ranked([entry for entry in results.pooled if entry.place == speed_range])
-    columns = {"policy": [f"`{entry.policy}`" for entry in entries]}
-    for column in COLUMNS:
-        if column.key in _COLUMNS:
-            heading, factor = _COLUMNS[column.key]
-            columns[heading] = [_cell(column, factor, entry) for entry in entries]
-    cells = results.suite.cells_in((speed_range,))
-    return (
-        speed_range,
-        sum(len(cell.episodes) for cell in cells),
-        table(list(columns), zip(*columns.values(), strict=True)),
+def headline(results: Results) -> dict[str, str]:
+    """Return the ratio of `MAIN_AGENT` to the best controllers over all cells, the worst cell, and the failures."""
+    errors = results.errors(MAIN_AGENT)
+    cells = {cell: results.to_best({cell: own}) for cell, own in errors.items()}
+    worst = max(cells, key=lambda cell: cells[cell].mean)
+    own, best = (
+        sum(_failed(results, p or best, cell) for cell, best in results.best.items()) for p in (MAIN_AGENT, "")
     )
+    return {
+        "ratio": with_interval(results.to_best(errors)),
+        "worst": f"{with_interval(cells[worst])} in `{worst}`",
+        "failed": f"{own} (best controllers: {best}) of {sum(map(len, errors.values()))}",
+        "behind": ", ".join(f"`{cell}`" for cell, ratio in cells.items() if ratio.ci95[0] > 1) or "none",
+    }
 
 
-def _cell(column: Column, factor: float, entry: Entry) -> str:
-    """Return a cell of the table: a score with its interval, a value times a factor, or the text of the report."""
-    if column.key == "score.mean":
-        digits = 3 if abs(column.of(entry) or 0.0) < 2 else 1
-        return f"{score_text(entry.score, digits)} ({interval_text(entry.score, digits)})"
-    if factor == 1.0 or entry.summary is None:
-        return column.text(entry)
-    value = factor * column.of(entry)
-    return f"{value:.0f}" if value >= 999.5 else f"{value:.3g}"
+def _failed(results: Results, policy: str, cell: str) -> int:
+    return count_failures(results.cases[cell][policy], error_cap(cell))
+
+
+def cell_rows(results: Results) -> list[list[str]]:
+    """Return a row for each cell: the best controller and `MAIN_AGENT`."""
+    rows = []
+    for cell, best in results.best.items():
+        case, both = results.cases[cell], (best, MAIN_AGENT)
+        theirs, mine = (capped(case[policy], error_cap(cell)) for policy in both)
+        errors = [f"{1e3 * own.mean():.3g}" for own in (theirs, mine)]
+        ratio = with_interval(results.to_best({cell: mine}))
+        failed = ", ".join(str(_failed(results, policy, cell)) for policy in both)
+        rates = [case[policy].smoothness.mean() for policy in both]
+        rows.append([f"`{cell}`", f"`{best}`", *errors, ratio, failed, f"{rates[1] / rates[0]:.2f}"])
+    return rows
+
+
+def entry_of(results: Results, policy: str, speed_range: str) -> Entry:
+    """Return the pooled results of a policy in a speed range; * in its name stands for the speed range."""
+    wanted = policy.replace("*", speed_range), speed_range
+    return next(entry for entry in results.pooled if (entry.policy, entry.place) == wanted)
+
+
+def policy_rows(results: Results, speed_range: str) -> list[list[str]]:
+    """Return a row for each policy that ran in all cells of a speed range, the smallest error first."""
+    ratios = {
+        e.policy: results.to_best(results.errors(e.policy, speed_range))
+        for e in results.pooled
+        if e.place == speed_range
+    }
+    rows = []
+    for policy in sorted(ratios, key=lambda name: ratios[name].mean):
+        entry = entry_of(results, policy, speed_range)
+        failed = failures_text(entry.failed, entry.summary.episodes if entry.summary else 0)
+        rates = f"{entry.effort_ratio:.2f}", f"{entry.smoothness_ratio:.2f}"
+        rows.append(
+            [f"`{policy}`", with_interval(ratios[policy]), failed, *rates, f"{1e6 * entry.decision_seconds:.2g}"]
+        )
+    return rows
+
+
+def seed_rows(results: Results, agents: Mapping[str, SeedRuns]) -> list[list[str]]:
+    """Return a row for each training, with the interval over training seeds and episodes."""
+    rows = []
+    for name, seeds in agents.items():
+        base = sum(results.cases[cell][EXPERT].smoothness.mean() for cell in seeds.measures) / len(seeds.measures)
+        rows.append([
+            f"`{name}`",
+            str(seeds.seeds),
+            with_interval(results.to_best(seeds.capped)),
+            failures_text(seeds.failed, seeds.episodes),
+            f"{seeds.smoothness / base:.2f}",
+        ])  # fmt: skip
+    return rows
 
 
 def _optimum(results: Results) -> dict[str, Any]:
     """Return the smallest and largest error of the optimum, the policies better than it, and where the oracle leads."""
     errors = [1e3 * case[OPTIMUM_POLICY].steady_rmse.mean() for case in results.cases.values()]
     return {
+        "one": OPTIMUM_POLICY,
+        "oracle": ORACLE,
         "least": f"{min(errors):.3f}",
         "most": f"{max(errors):.3f}",
         "rounding": f"{1e3 * ROUNDING:g}",
@@ -100,27 +153,27 @@ def _optimum(results: Results) -> dict[str, Any]:
 
 
 def error_figure(results: Results, policies: Sequence[str]) -> Figure:
-    """Return the figure of the mean errors of policies with 95 % intervals, the smallest error first.
+    """Return the figure of errors over those of the best controllers with 95 % intervals, the smallest first.
 
     Args:
         results: recorded results of a suite.
         policies: names; * stands for the speed range.
     """
-    errors = {}
-    for name in policies:
-        by_speed_range = {r: results.steady_rmses(name.replace("*", r), r) for r in SPEED_RANGES}
-        errors[name] = {r: 1e3 * np.concatenate([*cases.values()]) for r, cases in by_speed_range.items() if cases}
-    order = sorted(errors, key=lambda name: np.mean([np.log(values.mean()) for values in errors[name].values()]))
+    ratios = {
+        name: {r: results.to_best(errors) for r in SPEED_RANGES if (errors := results.errors(name, r))}
+        for name in policies
+    }
+    order = sorted(ratios, key=lambda name: sum(ratio.mean for ratio in ratios[name].values()) / len(ratios[name]))
     figure, [[ax]] = panels(1, 1, (7.2, 0.8 + 0.17 * len(order)))
     for speed_range, colour, marker in zip(SPEED_RANGES, COLOURS, MARKERS, strict=False):
-        rows = [(i, errors[name][speed_range]) for i, name in enumerate(order) if speed_range in errors[name]]
-        for i, values in rows:
-            ax.plot(bootstrap_interval(values), [i, i], color=colour, linewidth=1.6)
-        means = [values.mean() for _, values in rows]
-        ax.plot(means, [i for i, _ in rows], color=colour, marker=marker, markersize=4, linestyle="", label=speed_range)
+        rows = [(i, ratios[name][speed_range]) for i, name in enumerate(order) if speed_range in ratios[name]]
+        for i, ratio in rows:
+            ax.plot(ratio.ci95, [i, i], color=colour, linewidth=1.6)
+        means, places = [ratio.mean for _, ratio in rows], [i for i, _ in rows]
+        ax.plot(means, places, color=colour, marker=marker, markersize=4, linestyle="", label=speed_range)
     ax.set_xscale("log")
     ax.set_yticks(range(len(order)), order, fontsize=7)
     ax.set_ylim(len(order) - 0.4, -0.6)
-    ax.set_xlabel("mean steady-state error [mm] with 95 % interval")
+    ax.set_xlabel("error over that of the best controller in each cell, with 95 % interval")
     ax.legend(loc="upper right")
     return figure

@@ -18,13 +18,12 @@ from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.score import count_failures, error_cap
 from baselines.policies import make_policy
-from research.robustness import faults
 from research.seeds import FAILURE_RATE
 from research.study import Study, stamp
 
-_EPISODES = {"helm": 1250, "clairvoyant": 625}
+_EPISODES = {"helm": 625, "clairvoyant": 125}
 """Number of episodes of each scenario, by policy."""
-_BATCH = 250  # episodes that are simulated together
+_BATCH = 125  # episodes that are simulated together
 
 
 def _measure(policy: str, scenario: str, quick: bool = False) -> dict[str, float]:
@@ -57,4 +56,4 @@ def context(_: str = "") -> dict[str, Any]:
         at_most = f"{100 * failure_bound(failed, episodes):.2g} %"
         largest = f"{100 * max(row['largest_steady_rmse_m'] for row in rows):.3g}"
         rates.append([f"`{policy}`", f"the eight cases, {speed_range}", str(episodes), str(failed), at_most, largest])
-    return {"rates": rates, "episodes": rates[0][2], "at_most": rates[0][4], "guards": faults.guards()}
+    return {"rates": rates}

@@ -25,12 +25,12 @@ from baselines.policies import make_policy
 from research.seeds import SENSITIVITY
 from research.study import Study, stamp
 
-_SUITE = "benchmark-v2"
+_SUITE = "benchmark-v3"
 _POLICIES = ("helm", "helm-any", "ekf", "backstepping", "nmpc")
 _EPISODES = 12  # of each case
 ERROR_SIZES = (0.2, 0.4, 0.6)
 """Largest relative errors of a parameter; errors are uniform between plus and minus the largest one."""
-_MODELS = 12
+_MODELS = 4
 """Number of wrong models of each size, the same ones for all policies."""
 _RATIOS = ("m22", "d11", "d22", "d33")
 PARAMETER_SETS: Mapping[str, tuple[tuple[str, ...], str]] = {

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
+from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.faults import RandomFaults
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Spline
 from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
-from auv_gym.scenarios.scenario import RandomPath, Scenario
+from auv_gym.scenarios.mixtures import OFFSETS, slewing
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
+from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from baselines.evaluation.cells import Cell
 from baselines.evaluation.suites import rounded
@@ -29,14 +31,26 @@ SUITE_FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 GENTLE = ("line", "circle", "sine", "random_smooth")
 """Path families that every published vehicle can follow. A figure-eight turns too fast for some rudders, and for ships
 with little sway drag."""
-_EPISODES = 52  # episodes of a path family in a cell of benchmark-v2
-_VALIDATION_EPISODES = 10  # episodes of a path family in a cell of benchmark-v2-validation
-SEALED_EPISODES = 64  # episodes in a cell of a sealed suite
-FAULT_EPISODES = 40  # episodes in a cell of faults-v1
-VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v2
-FAULT_RATE = 2.0  # [1/min] of faults
-LONG_OUTAGES = 1.5  # [1/min] rate of long outages of the position fix
-SUITE_OUTAGE_TIME = (25.0, 35.0)  # [s]
+POSITION_FIXES = {"rtk": 0.2, "usbl": 20.0}
+"""Fixed levels of the position noise of benchmark-v3 by instrument, as multiples of `TYPICAL_NOISE`."""
+_EPISODES = {"benchmark-v3": 150, "benchmark-v3-validation": 50, "hard-v1": 40, "sealed-v3": 64}
+"""Number of episodes in a cell."""
+VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v3
+# Numbers of hard-v1:
+_STALE = 20.0  # [s] for which a velocity is frozen
+_CORRELATION = 2.0  # [s] correlation time of the noise of the position
+OUTAGES, OUTAGE_TIME = 1.5, (25.0, 35.0)  # [1/min] rate and [s] duration of outages of the position fix
+_SHARPER = 3.0  # factor of the turn rate of the storm
+_LAG = (1.8, 2.2)  # [s] time constants of the actuators
+_SLEW = 2.0  # [s] time from zero to the limit of slewing actuators
+_FAR = (-5.0, 5.0)  # [m] position on each axis of a far start
+_MASS, _DRAG = (0.7, 1.3), (0.6, 1.4)  # of a vehicle as shares of the known ones
+_BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the speed ranges
+_BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside the speed ranges
+MISSION = "mission"  # case with paths through random waypoints
+_MISSION = 300.0  # [s] its duration
+_SHORT = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] duration of a short outage
+_SHORT_SHEAR = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}  # [m] wavelength of a shear of the current
 
 
 @dataclass(frozen=True)
@@ -44,43 +58,86 @@ class Recipe:
     """Recipe of a cell."""
 
     scenario: Scenario
-    families: tuple[str, ...] = SUITE_FAMILIES  # path families in rotation
-    episodes: int = _EPISODES * len(SUITE_FAMILIES)
+    families: tuple[str, ...]  # path families in rotation
+    episodes: int
     waypoints: bool = False  # paths through random waypoints in place of the families
 
 
-def _benchmark(per_family: int) -> list[Recipe]:
+def _presets(name: str) -> list[Recipe]:
     scenarios = [PRESETS[f"{speed_range}-{case}"] for speed_range in SPEED_RANGES for case in CASES]
-    return [Recipe(scenario, episodes=per_family * len(SUITE_FAMILIES)) for scenario in scenarios]
+    return [Recipe(scenario, SUITE_FAMILIES, _EPISODES[name]) for scenario in scenarios]
 
 
-def _sealed(name: str) -> list[Recipe]:
-    """Return the recipes of a sealed suite: missions follow waypoints, the others rotate through the families."""
-    return [
-        Recipe(s, (*SUITE_FAMILIES, "lawnmower"), SEALED_EPISODES, sealed.is_mission(s))
-        for s in sealed.sealed_worlds(name)
+def _benchmark(name: str) -> list[Recipe]:
+    """Return the presets, and those with noise with two fixed levels of that of the position."""
+    return _presets(name) + [
+        Recipe(with_position_noise(PRESETS[f"{r}-{case}"], r, fix), SUITE_FAMILIES, _EPISODES[name])
+        for r in SPEED_RANGES
+        for case in ("noise", "storm")
+        for fix in POSITION_FIXES
     ]
 
 
-def _faults() -> list[Recipe]:
-    """Return storms with each kind of fault, long outages of the position fix, and very slow actuators."""
-    recipes = []
-    for speed_range in SPEED_RANGES:
-        storm = PRESETS[f"{speed_range}-storm"]
-        changes: dict[str, dict[str, Any]] = {
-            kind.replace(" ", "-"): {"faults": RandomFaults((kind,), rate=FAULT_RATE)} for kind in sealed.FAULTS
-        }
-        blind = replace(storm.sensors, outages=LONG_OUTAGES, outage_time=SUITE_OUTAGE_TIME)
-        changes["long-outages"] = {"sensors": blind}
-        changes["lag-1-s"] = {"actuators": replace(storm.actuators, lag=(0.8, 1.2))}
-        recipes += [
-            Recipe(replace(storm, name=f"{speed_range}-{name}", **change), episodes=FAULT_EPISODES)
-            for name, change in changes.items()
-        ]
-    return recipes
+def with_position_noise(scenario: Scenario, speed_range: str, fix: str) -> Scenario:
+    """Return a preset with the position noise of an instrument of `POSITION_FIXES`; the other levels are drawn."""
+    level = POSITION_FIXES[fix] * TYPICAL_NOISE[speed_range].noise[0]
+    return replace(scenario, name=f"{scenario.name}-{fix}", sensors=replace(scenario.sensors, position=level))
 
 
-def _vehicles() -> list[Recipe]:
+def _sealed(name: str) -> list[Recipe]:
+    families = *SUITE_FAMILIES, "lawnmower"
+    return [Recipe(scenario, families, _EPISODES[name]) for scenario in sealed.sealed_worlds(name)]
+
+
+def _hard(name: str) -> list[Recipe]:
+    """Return storms with one thing that is hard: a sensor, the path, the actuators, faults, the start, the vehicle."""
+    return [
+        Recipe(
+            replace(PRESETS[f"{speed_range}-storm"], name=f"{speed_range}-{case}", **change),
+            ("lawnmower",) if case == "sharp" else SUITE_FAMILIES,
+            _EPISODES[name],
+            waypoints=case == MISSION,
+        )
+        for speed_range in SPEED_RANGES
+        for case, change in _hard_changes(PRESETS[f"{speed_range}-storm"], speed_range).items()
+    ]
+
+
+def _hard_changes(storm: Scenario, speed_range: str) -> sealed.Changes:
+    """Return the fields of the scenarios of hard-v1 that differ from the storm, by case."""
+    path, sensors, mismatch, current, act = storm.path, storm.sensors, storm.mismatch, storm.current, storm.actuators
+    assert isinstance(path, RandomPath)
+    assert isinstance(mismatch, RandomMismatch)
+    assert isinstance(current, RandomCurrent)
+    T, offset, slow = storm.duration, OFFSETS[speed_range], slewing(storm, _SLEW).actuators
+    hulls = replace(mismatch, mass=_MASS, m33=_MASS, d11=_DRAG, d22=_DRAG, d33=_DRAG)
+    return {
+        "velocity-stale": {"faults": RandomFaults(("velocity frozen",), begin=(0.4 * T, 0.5 * T), time=_STALE)},
+        "velocity-offset": {"faults": RandomFaults(("velocity offset",), begin=0.4 * T, time=T, offset=offset)},
+        "velocity-bias": {"sensors": replace(sensors, velocity_bias=(-offset, offset))},
+        "correlated": {"sensors": replace(sensors, correlation=_CORRELATION)},
+        "dead-reckoning": {"sensors": replace(sensors, reckoning=RandomReckoning())},
+        "outages": {"sensors": replace(sensors, outages=OUTAGES, outage_time=OUTAGE_TIME)},
+        "sharp": {"path": replace(path, turn_rate=_SHARPER * path.turn_rate)},
+        "lag": {"actuators": replace(act, lag=_LAG)},
+        "slew": {"actuators": slow},
+        "actuator-faults": {"faults": RandomFaults(sealed.ACTUATOR_FAULTS)},
+        "sensor-faults": {"faults": RandomFaults(sealed.SENSOR_FAULTS)},
+        "far-start": {"start": Start(x_e=_FAR, y_e=_FAR, psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))},
+        "hulls": {"mismatch": hulls},
+        "beyond": {"path": replace(path, speed=_BEYOND[speed_range])},
+        MISSION: {"steps": round(_MISSION / storm.control_dt)},
+        "all-at-once": {
+            "path": replace(path, speed=_BETWEEN[speed_range]),
+            "actuators": replace(slow, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
+            "sensors": replace(sensors, outages=1.0, outage_time=_SHORT[speed_range], heading_bias=(-0.04, 0.04)),
+            "mismatch": hulls,
+            "current": replace(current, shear=(0.1, 0.2), wavelength=_SHORT_SHEAR[speed_range]),
+        },
+    }
+
+
+def _vehicles(_: str) -> list[Recipe]:
     """Return all cases for each published vehicle at its own speeds; slow motion only for vehicles without fins."""
     return [
         Recipe(changed(PRESETS[f"{speed_range}-{case}"], vehicle), GENTLE, episodes)
@@ -113,12 +170,12 @@ def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Sp
             return spline
 
 
-BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
-    "benchmark-v2": (1_000_001, lambda: _benchmark(_EPISODES)),
-    "benchmark-v2-validation": (1_000_002, lambda: _benchmark(_VALIDATION_EPISODES)),
-    "vehicles-v2": (1_000_007, _vehicles),
-    "faults-v1": (1_000_008, _faults),
-    **{name: (None, partial(_sealed, name)) for name in sealed.CHANGES},
+BUILDERS: dict[str, tuple[int | None, Callable[[str], list[Recipe]]]] = {
+    "benchmark-v3": (1_000_011, _benchmark),
+    "benchmark-v3-validation": (1_000_012, _presets),
+    "hard-v1": (1_000_013, _hard),
+    "vehicles-v3": (1_000_014, _vehicles),
+    **dict.fromkeys(sealed.CHANGES, (None, _sealed)),
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
 selects agents on the validation split, never on a test."""
@@ -132,7 +189,7 @@ def build(name: str) -> list[Cell]:
     """
     known, recipes = BUILDERS[name]
     seed = sealed.seed(name) if known is None else known
-    return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes())]
+    return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes(name))]
 
 
 def _cell(recipe: Recipe, seed: int, index: int) -> Cell:

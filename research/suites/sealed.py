@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,11 +18,9 @@ from typing import Any
 
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.faults import RandomFaults
-from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.waves import RandomWaves
-from auv_gym.scenarios.mixtures import slewing
-from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
-from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES, TYPICAL_NOISE
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.files import json_text, read_json, write_atomically
 
@@ -31,27 +28,16 @@ Changes = dict[str, dict[str, Any]]  # fields of a scenario that differ from the
 SEALS = Path(__file__).parent / "seals.json"
 """File with the SHA-256 of each secret, and with the secrets of opened suites."""
 
-BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the speed ranges
-BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside the speed ranges
-_MISSION = 300.0  # [s] duration of a mission
-_SLEW = 2.0  # [s] time from zero to the limit of slewing actuators
-_OUTAGES = 3.0  # [1/min] rate of outages of the position fix
-_SHORT_SHEAR = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}  # [m] wavelength of a shear of the current
-LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] duration of an outage
-_FAR = 5.0  # [m] largest distance of a far start on each axis
-MASS_SHARES = (0.7, 1.3)  # masses of a vehicle as shares of the known ones
-DRAG = (0.6, 1.4)  # drag of a vehicle as shares of the known one
-
 LAG = (1.5, 2.5)  # [s] time constants of the actuators
 _WEAK = (0.35, 0.55)  # actual force as a share of the commanded force
 _PERIOD = 0.05  # [s] control period
 _CHOP = (1.2, 2.0)  # [rad/s] frequencies of waves above the usual band
 _TURN = {"slow": (-0.04, 0.04), "cruise": (-0.1, 0.1)}  # [rad/s] turn rate of a turning current
-_ACTUATOR_FAULTS = "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way"
-_SENSOR_FAULTS = (
+ACTUATOR_FAULTS = "surge stuck", "surge dead", "surge one way", "yaw stuck", "yaw dead", "yaw one way"
+SENSOR_FAULTS = (
     "all frozen", "heading frozen", "velocity frozen", "yaw rate frozen", "velocity missing", "position jump",
 )  # fmt: skip
-FAULTS = *_ACTUATOR_FAULTS, *_SENSOR_FAULTS
+FAULTS = *ACTUATOR_FAULTS, *SENSOR_FAULTS
 """Kinds of faults of the frozen suites, whatever kinds are added to the package."""
 
 
@@ -118,18 +104,13 @@ def seed(name: str) -> int:
 
 
 def worlds_hash(name: str) -> str:
-    """Return the SHA-256 of the scenarios of a sealed suite."""
-    return sha256(json.dumps([[s.to_dict(), is_mission(s)] for s in sealed_worlds(name)], sort_keys=True))
-
-
-def is_mission(scenario: Scenario) -> bool:
-    """Return whether a scenario follows random waypoints in place of path families."""
-    return scenario.name.endswith("-mission")
+    """Return the SHA-256 of the scenarios of a sealed suite, none of which follows random waypoints."""
+    return sha256(json.dumps([[s.to_dict(), False] for s in sealed_worlds(name)], sort_keys=True))
 
 
 def sealed_worlds(name: str) -> list[Scenario]:
     """Return the scenarios of a sealed suite: the storm of each speed range with each of its changes."""
-    storms = {speed_range: PRESETS[f"{speed_range}-storm"] for speed_range in SPEED_RANGES}
+    storms = {r: replace(PRESETS[f"{r}-storm"], sensors=TYPICAL_NOISE[r]) for r in SPEED_RANGES}
     return [
         replace(storm, name=f"{speed_range}-{key}", **change)
         for speed_range, storm in storms.items()
@@ -137,41 +118,8 @@ def sealed_worlds(name: str) -> list[Scenario]:
     ]
 
 
-def _second(storm: Scenario, speed_range: str) -> Changes:
-    """Return changes outside the training of `helm`.
-
-    They have speeds between and beyond the speed ranges, missions of five minutes, slewing actuators, long outages of
-    the position fix, far starts, other vehicles, and a combination of these. The training of `helm-any` has long
-    outages and far starts.
-    """
-    assert isinstance(storm.path, RandomPath)
-    assert isinstance(storm.mismatch, RandomMismatch)
-    assert isinstance(storm.current, RandomCurrent)
-    slow = slewing(storm, _SLEW).actuators
-    patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
-    vehicles = replace(storm.mismatch, mass=MASS_SHARES, m33=MASS_SHARES, d11=DRAG, d22=DRAG, d33=DRAG)
-    return {
-        "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
-        "beyond": {"path": replace(storm.path, speed=BEYOND[speed_range])},
-        "mission": {"steps": round(_MISSION / storm.control_dt)},
-        "slew": {"actuators": slow},
-        "outages": {"sensors": patchy},
-        "far-start": {
-            "start": Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
-        },
-        "hulls": {"mismatch": vehicles},
-        "all-at-once": {
-            "path": replace(storm.path, speed=BETWEEN[speed_range]),
-            "actuators": replace(slow, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
-            "sensors": replace(patchy, outages=1.0, heading_bias=(-0.04, 0.04)),
-            "mismatch": vehicles,
-            "current": replace(storm.current, shear=(0.1, 0.2), wavelength=_SHORT_SHEAR[speed_range]),
-        },
-    }
-
-
 def _third(storm: Scenario, speed_range: str) -> Changes:
-    """Return changes that the training of no agent has.
+    """Return the changes of sealed-v3. The training of `helm` now has such lags and two kinds of faulty measurements.
 
     They have faults of actuators or of measurements, actuators with a lag of about two seconds or with half the force,
     half the control period, a turning current, short waves, and a combination of these.
@@ -181,8 +129,8 @@ def _third(storm: Scenario, speed_range: str) -> Changes:
     weak = replace(storm.actuators, effectiveness=_WEAK)
     turning, chop = replace(storm.current, turn=_TURN[speed_range]), replace(storm.waves, band=_CHOP)
     return {
-        "actuator-faults": {"faults": RandomFaults(_ACTUATOR_FAULTS)},
-        "sensor-faults": {"faults": RandomFaults(_SENSOR_FAULTS)},
+        "actuator-faults": {"faults": RandomFaults(ACTUATOR_FAULTS)},
+        "sensor-faults": {"faults": RandomFaults(SENSOR_FAULTS)},
         "lag": {"actuators": replace(storm.actuators, lag=LAG)},
         "weak": {"actuators": weak},
         "period": {"control_dt": _PERIOD, "steps": round(storm.duration / _PERIOD)},
@@ -197,5 +145,5 @@ def _third(storm: Scenario, speed_range: str) -> Changes:
     }
 
 
-CHANGES: Mapping[str, Callable[[Scenario, str], Changes]] = {"sealed-v2": _second, "sealed-v3": _third}
+CHANGES: Mapping[str, Callable[[Scenario, str], Changes]] = {"sealed-v3": _third}
 """Functions that return the changes of a storm in a speed range, by sealed suite."""

@@ -16,10 +16,9 @@ from baselines.evaluation.report.terminal import run_and_show
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import DEFAULT_JOBS, Workers
-from baselines.training.command import Options as Training
 from baselines.training.train import train_all
 from research.trainings.seed_runs import keep_seed_runs
-from research.trainings.trainings import FIRST_TRAININGS, SEED_TRAININGS, SHIPPED_TRAININGS, request_of
+from research.trainings.trainings import SEED_TRAININGS, SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research train-all"
 SHIPPED_RUNS, STUDY_RUNS = Path("runs/shipped"), Path("runs/study")
@@ -41,7 +40,7 @@ class Options:
     """Replace the agents in baselines/agents/shipped by the trained ones."""
     study: bool = False
     """Train the agents of the study instead, with several seeds in runs/study. They run on the frozen suites, and their
-    results are recorded in research/data/trainings. `helm-any` starts from its first training in runs/shipped."""
+    results are recorded in research/data/trainings."""
     jobs: int = DEFAULT_JOBS
     """Worker processes."""
 
@@ -59,14 +58,12 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _shipped(name: str, options: Options) -> int:
-    """Train an agent, after the agent of `FIRST_TRAININGS` that it starts from, and return the exit status."""
-    training = SHIPPED_TRAININGS.get(name) or FIRST_TRAININGS[name]
-    if (first := training.from_ or "") in FIRST_TRAININGS and (status := _shipped(first, options)) != DONE:
-        return status
+    """Train an agent and return the exit status."""
+    training = SHIPPED_TRAININGS[name]
     print(f"{name}:", flush=True)
     folder, steps = SHIPPED_RUNS / name, options.timesteps or training.timesteps
-    status = train_all(request_of(replace(_with_start(training), timesteps=steps), folder, options.jobs))
-    if status == DONE and options.install and name in SHIPPED_TRAININGS:
+    status = train_all(request_of(replace(training, timesteps=steps), folder, options.jobs))
+    if status == DONE and options.install:
         Agent.load(folder / AGENT_FOLDER).save(SHIPPED_FOLDER / name, (folder / CURVE_FILE).read_bytes())
     return status
 
@@ -74,20 +71,12 @@ def _shipped(name: str, options: Options) -> int:
 def _studied(name: str, jobs: int) -> int:
     """Train agents with several seeds, run them on the suites, record the results, and return the exit status."""
     study = SEED_TRAININGS[name]
-    request = request_of(replace(_with_start(study.training), seeds=study.seeds), STUDY_RUNS / name, jobs)
+    request = request_of(replace(study.training, seeds=study.seeds), STUDY_RUNS / name, jobs)
     if (status := train_all(request)) != DONE:
         return status
     agents = [str(folder / AGENT_FOLDER) for folder in request.folders]
     for suite in map(load_suite, study.suites):
-        for recorded_name, speed_range in study.recorded_names(name).items():
-            cells = suite.cells_in((speed_range,))
-            runs = run_and_show([(agent, cell) for cell in cells for agent in agents], Workers(jobs))
-            by_agent = [[run for run in runs if run.policy == agent] for agent in agents]
-            keep_seed_runs(suite, recorded_name, by_agent, request.command)
+        runs = run_and_show([(agent, cell) for cell in suite.cells for agent in agents], Workers(jobs))
+        by_agent = [[run for run in runs if run.policy == agent] for agent in agents]
+        keep_seed_runs(suite, name, by_agent, request.command)
     return DONE
-
-
-def _with_start(training: Training) -> Training:
-    """Return a training with the folder of the agent of `FIRST_TRAININGS` that it starts from, in place of the name."""
-    first = training.from_ or ""
-    return replace(training, from_=str(SHIPPED_RUNS / first / AGENT_FOLDER)) if first in FIRST_TRAININGS else training

@@ -1,6 +1,6 @@
 """Results of agents that differ only in the training seed, on the frozen suites: research/data/trainings/SUITE.npz.
 
-The files are files of results. The policy of a run is NAME#SEED, see `trainings.SeedTraining.recorded_names`.
+The files are files of results. The policy of a run is NAME#SEED, with the name of its training.
 """
 
 from __future__ import annotations
@@ -37,13 +37,8 @@ class SeedRuns:
         return len(next(iter(self.measures.values())))
 
     @cached_property
-    def steady_rmses(self) -> dict[str, Array]:
-        """Steady-state errors [m] by scenario, shape (S, M)."""
-        return {cell: np.stack([m.steady_rmse for m in agents]) for cell, agents in self.measures.items()}
-
-    @cached_property
     def capped(self) -> dict[str, Array]:
-        """The same with the error cap for failed episodes."""
+        """Steady-state errors [m] by scenario, failed episodes with the error cap, shape (S, M)."""
         return {cell: np.stack([capped(m, error_cap(cell)) for m in own]) for cell, own in self.measures.items()}
 
     @property
@@ -63,7 +58,7 @@ class SeedRuns:
 
 
 def trained(suite: str) -> dict[str, SeedRuns]:
-    """Return the results on a frozen suite, by the name with which they are recorded.
+    """Return the results on a frozen suite, by the name of the training.
 
     Raises:
         OSError: the file cannot be read.

@@ -73,7 +73,7 @@ class SixDofSimulator:
             allowed = ", ".join(SIX_DOF_MODELS)
             raise ValueError(f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {allowed}")
         self._model, known = SIX_DOF_MODELS[vehicle], vehicle_model(vehicle).vehicle
-        self._eps, self._side = known.eps, known.eps * known.m22 / known.m33
+        self._eps = known.eps
         rows = {"inputs": len(ModelInputs._fields), "deviation": len(Deviation._fields), "level": 6, "forces": 2}
         rows |= dict.fromkeys(("began", "rows", "rates"), self._model.size)
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}
@@ -102,8 +102,7 @@ class SixDofSimulator:
         Returns:
             x, y, psi, u, v, r, shape (6, N), and F_u [N], F_r [N m] of the actuators, shape (2, N).
         """
-        acting = ModelInputs(*inputs)  # a yaw moment from outside comes with a side force, as in the planar model
-        self._arrays["inputs"][:] = acting._replace(Y=acting.Y - self._side * acting.N)
+        self._arrays["inputs"][:] = inputs
         steps = math.ceil(dt / _STEP - 1e-9)
         h = dt / steps
         for _ in range(steps):  # classical Runge-Kutta steps

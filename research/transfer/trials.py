@@ -10,7 +10,7 @@ import numpy as np
 from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State
 from auv_gym.scenarios.fitting import adapted
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, TYPICAL_NOISE
 from auv_gym.scenarios.vehicles import VehicleModel, vehicle_model
 from baselines.identification.log import Log
 from baselines.identification.trials import EXAMPLE_CURRENT, Segment, Simulated, Trial, recorded
@@ -72,7 +72,7 @@ def _limits(vehicle: VehicleModel) -> Actuators:
 def log(name: str) -> Log:
     """Return the log of a trial of a vehicle in six degrees of freedom: steps, zig-zags and a turning circle.
 
-    The noise is that of `cruise-noise` for this vehicle, the current is `EXAMPLE_CURRENT`.
+    The noise has the typical level for this vehicle, the current is `EXAMPLE_CURRENT`.
 
     Args:
         name: name of the vehicle, one of `simulators.SIX_DOF_MODELS`.
@@ -82,7 +82,7 @@ def log(name: str) -> Log:
     """
     own = vehicle_model(name)
     plant, limits = SimulatedVehicle(SixDofSimulator(name, 1), EXAMPLE_CURRENT), _limits(own)
-    sensors = adapted(own, PRESETS["cruise-noise"]).sensors
+    sensors = adapted(own, replace(PRESETS["cruise-noise"], sensors=TYPICAL_NOISE["cruise"])).sensors
     if own.actuators.fin:
         trial = Trial(limits.F_u_max, limits.F_r_max, DURATION[name], FIN_TRIAL)
     else:

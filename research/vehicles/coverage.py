@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import TYPICAL_NOISE
 from baselines.evaluation.fingerprints import code_fingerprint
 from baselines.identification import Log, identify
 from baselines.identification.model import COEFFICIENTS, CROSS_TERMS, FITTED_PARAMETERS, LIMIT_NAMES
@@ -77,7 +77,7 @@ def _measure(row: str, quick: bool = False) -> dict[str, Any]:
 
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return counts, errors and processor time of the identifications of a vehicle from a number of logs."""
-    (vehicle, change), sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
+    (vehicle, change), sensors = _VEHICLES[name], TYPICAL_NOISE["cruise"]
     truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE.lag}
     begin = time.process_time()
@@ -104,7 +104,7 @@ def _counted(name: str, logs: int) -> dict[str, Any]:
 
 def _misfits(plant: Simulated, logs: int) -> dict[str, int]:
     """Return the number of logs of a simulated vehicle, and of those with a reported misfit."""
-    sensors, misfit = PRESETS["cruise-noise"].sensors, 0
+    sensors, misfit = TYPICAL_NOISE["cruise"], 0
     for seed in range(logs):
         rng = np.random.default_rng(seed)
         log = recorded(copy.deepcopy(plant), Trial(EXAMPLE.F_u_max, EXAMPLE.F_r_max), sensors, rng, EXAMPLE_CURRENT)

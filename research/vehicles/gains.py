@@ -198,8 +198,9 @@ def _search(record: Mapping[tuple[str, ...], Any]) -> tuple[str, str]:
     mean = {kind: statistics.geometric_mean(ratios[kind]) for kind in KINDS}
     (evaluations, episodes), held_out = rows[0]["budget"], rows[0]["episodes"]
     says = (
-        f"### Gains from a search\n\nA search for one vehicle has {evaluations} evaluations of {episodes} episodes in "
-        f"all cruise cases and begins at the gains from the parameters. All run {held_out} other episodes. In "
+        f"### Gains from a search\n\nA search for one vehicle has {evaluations} evaluations of {episodes} "
+        "cruise episodes, with the objective of [auv-gym tune](policies.md#how-the-gains-are-tuned), and begins at the "
+        f"gains from the parameters. All run {held_out} other episodes. In "
         f"{near['parameters']} of {len(rows)} pairs of vehicle and controller the gains from the parameters are within "
         f"{100 * (NEAR_SEARCHED - 1):.0f} % of the searched ones. The geometric mean of the ratios is "
         f"{mean['parameters']:.2f}. With the gains of the paper's vehicle in the vehicle's units these are "
@@ -223,7 +224,7 @@ def agent_comparison(record: Mapping[str, Any], searches: Mapping[tuple[str, ...
     cells, rows = {side: list[Any]() for side in SIDES}, []
     for vehicle, entry in record.items():
         errors = {side: list(map(np.array, entry["steady_rmses"][side].values())) for side in SIDES}
-        means = {side: float(np.mean(errors[side])) / PAPER.vehicle.length for side in SIDES}
+        means = {side: float(np.mean(np.concatenate(errors[side]))) / PAPER.vehicle.length for side in SIDES}
         ratios = [with_interval(relative_error(errors[side], errors[MEASURED_AGENT])) for side in SIDES[:2]]
         rows.append([f"`{vehicle}`", *(_percent(means[side], entry["failed"][side]) for side in SIDES), *ratios])
         for side in SIDES:
@@ -274,6 +275,7 @@ def tuned_gains() -> str:
         v = record["validation"]
         errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['failed']:.1f} %"
         ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
-        rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, *ratios))
+        gained = f"{100 * (1 - v['cost_m'] / v['start_cost_m']):.1f} %"
+        rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, *ratios, gained))
     heads = "controller", "speed range", "gains", "error [mm]", "error reduction", "failures", "effort", "command rate"
-    return table(heads, rows)
+    return table((*heads, "last search"), rows)

@@ -21,6 +21,7 @@ from auv_gym.planning.planner import plan
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 
 N_ENVS, BLOCK, DT = 400, 64, 0.1
 NOISE, BIAS = (0.05, 0.05, 0.02, 0.01, 0.01, 0.004), (0.5, 0.5, -0.1, 0.2, 0.2, 0.03)
@@ -203,6 +204,32 @@ def test_mismatch_is_a_vehicle_with_more_mass_in_sway(numbers, masses, spread, q
     )
     q = quadratic * numbers[6]
     assert (true.X_uu, true.Y_vv, true.N_rr) == pytest.approx((q, 5 * factors[4] + 2 * q, 3 * q))
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_added_mass_in_lift_and_surge_loss_scales_with_the_masses(name):
+    """What is left of the sums of masses and these terms keeps its share of the masses, zero included."""
+    known = vehicle_model(name).vehicle
+    mismatch, rng = RandomMismatch((0.5, 2.0), (0.9, 1.3), d11=(0.5, 2.0), d22=(0.5, 2.0)).cut(known), random.Random(0)
+    for _ in range(50):
+        true = mismatch.draw(rng.random, known)
+        for mass, term in (("m11", "Y_ur"), ("m22", "X_vr")):
+            growth = getattr(true, mass) / getattr(known, mass)
+            assert getattr(true, term) == pytest.approx(growth * getattr(known, term))
+        munk, was = true.m22 - true.m11, known.m22 - known.m11
+        assert (munk - true.N_uv) / munk == pytest.approx((was - known.N_uv) / was)
+    if name == "remus100":
+        assert known.m22 - known.m11 == pytest.approx(known.N_uv)
+
+
+@given(st.lists(st.floats(0.1, 3.0), min_size=3, max_size=3), st.floats(0, 30))
+def test_limited_waves_drawn_as_rows_are_those_drawn_one_by_one(speeds, most):
+    waves = RandomWaves(0.3, 0.2, 0.12, most_yaw=most)
+    rows = waves.draw(lambda: np.full(3, 0.5), np.array(speeds), PAPER_VEHICLE)
+    for k, speed in enumerate(speeds):
+        one = waves.draw(lambda: 0.5, speed, PAPER_VEHICLE)
+        assert (one.surge, one.sway, one.yaw) == (rows.surge[k], rows.sway[k], rows.yaw[k])
+        assert one.yaw == pytest.approx(min(0.12 * 50.0 * speed, most * speed**2))
 
 
 def test_a_mismatch_of_zero_is_the_vehicle():

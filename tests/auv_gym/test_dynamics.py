@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 
-from auv_gym.physics.dynamics import rates, rk4_step, state_rates
+from auv_gym.physics.dynamics import from_outside, rates, rk4_step, state_rates
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle
 
@@ -99,16 +99,28 @@ def test_cross_flow_is_that_of_fossen():
 
 
 def test_a_rudder_moves_the_tracked_point_by_its_torque_alone():
-    """v + eps r of the equations about the origin, with the side force of a rudder at m33 / (m22 eps) behind it."""
-    psi, u, v, r, X, N = sp.symbols("psi u v r X N", real=True)
+    """v + eps r of the equations about the origin, with the side force of a rudder at m33 / (m22 eps) behind it.
+
+    A force from outside, with a yaw moment of its own, acts on the origin.
+    """
+    psi, u, v, r, X, N, X_o, Y_o, N_o = sp.symbols("psi u v r X N X_o Y_o N_o", real=True)
     c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
     f = CrossTerms(*sp.symbols(CrossTerms._fields, real=True))
     side = -N * f.eps * c.m22 / c.m33
-    x_dot, y_dot, u_dot, v_dot, r_dot = rates(psi, u, v, r, (X, side, N), (*c, *f._replace(eps=0)), ns=sp)
+    x_dot, y_dot, u_dot, v_dot, r_dot = rates(
+        psi, u, v, r, (X + X_o, side + Y_o, N + N_o), (*c, *f._replace(eps=0)), ns=sp
+    )
     forward, left = sp.cos(psi), sp.sin(psi)
     expected = x_dot - f.eps * r * left, y_dot + f.eps * r * forward, u_dot, v_dot + f.eps * r_dot, r_dot
-    tracked = rates(psi, u, v + f.eps * r, r, (X, 0, N), (*c, *f), ns=sp)
+    X_w, Y_w, N_w = from_outside((X_o, Y_o, N_o), (*c, *f))
+    tracked = rates(psi, u, v + f.eps * r, r, (X + X_w, Y_w, N + N_w), (*c, *f), ns=sp)
     assert [sp.simplify(a - b) for a, b in zip(tracked, expected, strict=True)] == [0] * 5
+
+
+@pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, FINNED])
+def test_without_a_side_force_a_load_from_outside_is_the_load(vehicle):
+    load = 1.0, 2.0, 3.0
+    assert from_outside(load, vehicle.acting) is load
 
 
 @pytest.mark.parametrize(("vehicle", "terms"), [(PAPER_VEHICLE, 9), (ROUGH, 9), (FINNED, 13), (CROSSED, 25)])

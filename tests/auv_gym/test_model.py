@@ -102,6 +102,7 @@ THREE = Model(
     current=PLANE.current,
     load=PLANE.load,
     advance=PLANE.advance,
+    from_outside=PLANE.from_outside,
     over_ground=PLANE.over_ground,
     errors=PLANE.errors,
     terms=PLANE.terms,
@@ -260,6 +261,7 @@ class Inputs3:
     nominal_vehicle: bool = False
     filters: bool = False
     features: tuple = tuple(range(9))
+    constants: range = range(0)
 
     def update(self, o, ahead, base, correction, memory, ns, known=None):
         return (*o[:6], *correction), (memory[0] + o[0],)

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from matrix_form import matrix_form
+from scipy.integrate import solve_ivp
 from vehicle_sources import SOURCES
 
 from auv_gym import PRESETS, Scenario, list_vehicles
@@ -19,12 +20,13 @@ from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.effects.sensors import Sensors
 from auv_gym.effects.waves import RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import PATHS
 from auv_gym.planning.planner import plan
-from auv_gym.scenarios.fitting import Sea, adapted, changed, in_vehicle_units
+from auv_gym.scenarios.fitting import FIN_OFFSETS, FIN_SURGE, FIN_WAVES, Sea, adapted, changed, in_vehicle_units
 from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, VehicleModel, as_vehicle, vehicle_model, vehicle_names
@@ -79,6 +81,64 @@ def test_planned_forces_keep_the_vehicle_on_its_path(name):
     assert np.abs(point(state, v.eps)[:2] - table[400, :2]).max() < 1e-6 * v.length
 
 
+@pytest.mark.parametrize("name", ["lauv", "nps-auv2", "remus100"])
+def test_waves_act_on_the_origin_and_rudders_with_their_side_force(name):
+    """Compared with DOP853 on the matrix form about the origin, where only the rudder's torque has a side force."""
+    scenario = replace(changed(PRESETS["cruise-waves"], name), control_dt=0.02 * vehicle_model(name).vehicle.time)
+    v, dt = scenario.vehicle, scenario.control_dt
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+    env.reset(seed=2)
+
+    def ahead(state):
+        _, _, psi, _, _, r = state
+        return v.eps * np.array((np.cos(psi), np.sin(psi), 0, 0, r, 0))
+
+    state, rng, turned = env.state[0] - ahead(env.state[0]), np.random.default_rng(0), 0.0
+    for _ in range(150):
+        env.step(rng.uniform(-1, 1, (1, 2)).astype(np.float32))
+        (F_u, F_r), (X, Y, N) = env.force[0], env.load[0]
+        turned = max(turned, abs(N))
+        tau = F_u + X, Y - F_r * v.eps * v.m22 / v.m33, F_r + N
+        run = solve_ivp(lambda _, z, f=tau: matrix_form(z, f, v), (0, dt), state, "DOP853", rtol=1e-10, atol=1e-12)
+        state = run.y[:, -1]
+    np.testing.assert_allclose(env.state[0], state + ahead(state), atol=1e-6 * v.length)
+    assert turned > 0.01 * scenario.actuators.F_r_max
+
+
+def is_finned(name):
+    return vehicle_model(name).actuators.fin > 0
+
+
+@pytest.mark.parametrize("case", ["waves", "storm"])
+@pytest.mark.parametrize("name", [name for name in vehicle_names() if is_finned(name)])
+def test_waves_are_limited_to_a_share_of_the_torque_of_fins(name, case):
+    """Each episode by its path speed, with the same factor on all axes; without the limit it is the harder sea."""
+    limited = as_scenario(f"cruise-{case}@{name}")
+    harder = replace(limited, waves=replace(limited.waves, most_yaw=math.inf), substeps=64)
+    act, shares = limited.actuators, []
+    for seed in range(50):
+        one, other = (scenario.draw(np.random.default_rng(seed)) for scenario in (limited, harder))
+        U = one.path.speed
+        shares.append(one.waves.yaw / min(act.fin * U**2, act.F_r_max))
+        factors = [getattr(one.waves, axis) / getattr(other.waves, axis) for axis in ("surge", "sway", "yaw")]
+        assert max(factors) - min(factors) < 1e-12
+        assert max(factors) == 1.0 or shares[-1] == pytest.approx(FIN_WAVES)
+        assert other.waves.yaw == pytest.approx(limited.waves.yaw * limited.vehicle.d33 * U)
+    assert max(shares) <= FIN_WAVES * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_a_vehicle_with_fins_starts_at_a_speed_at_which_they_act(name):
+    L = Units.of(vehicle_model(name).vehicle).length
+    for preset in ("cruise-calm", "cruise-storm", "paper-circle"):
+        theirs, mine = PRESETS[preset].start, as_scenario(f"{preset}@{name}").start
+        least = FIN_SURGE if is_finned(name) else -math.inf
+        factor = FIN_OFFSETS if is_finned(name) else 1.0
+        for entry, scale in (("x_e", L), ("y_e", L), ("psi_e", 1.0)):
+            np.testing.assert_allclose(getattr(mine, entry), np.multiply(getattr(theirs, entry), scale * factor))
+        np.testing.assert_allclose(mine.surge, np.maximum(theirs.surge, least))
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_for_the_vehicle_of_the_paper_a_scenario_does_not_change(name):
     assert adapted(PAPER, PRESETS[name]) == PRESETS[name]
@@ -125,7 +185,7 @@ def test_the_vehicle_of_the_paper_in_other_units(sensors):
 def test_each_entry_with_a_unit_is_scaled():
     """The units are in the comments of the fields; relative speeds and forces have none."""
     powers = {"m": (1, 0), "s": (0, 1), "m/s": (1, -1), "rad/s": (0, -1), "Hz": (0, -1), "1/min": (0, -1)}
-    powers |= {"rad/sqrt(s)": (0, -0.5), "rad": None}
+    powers |= {"rad/sqrt(s)": (0, -0.5), "rad": None, "kg": (0, 0, 1)}
     classes = {"start": Start, "sensors": Sensors, "reckoning": RandomReckoning}
     for part, cls in {**classes, "current": RandomCurrent, "waves": RandomWaves}.items():
         units = dict(re.findall(r"^    (\w+): .*?# \[(.+?)\]", inspect.getsource(cls), re.MULTILINE))

@@ -3,20 +3,33 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PATHS, Circle
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import CASES, PRESETS, as_scenario
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
 
 
 def test_presets_are_the_paper_and_all_cases_in_both_speed_ranges():
     assert set(PRESETS) == {"paper-circle"} | {f"{r}-{c}" for r in ("slow", "cruise") for c in CASES}
+
+
+def test_the_page_has_the_levels_of_the_noise_and_the_typical_one_is_within():
+    page = (Path(__file__).parents[2] / "docs/scenarios.md").read_text(encoding="utf-8")
+    for name in NOISES:
+        ranges = [getattr(PRESETS[f"{r}-storm"].sensors, name) for r in SPEED_RANGES]
+        assert f"| {' | '.join(f'{low:g} to {high:g}' for low, high in ranges)} |" in page
+        assert all(
+            low < getattr(TYPICAL_NOISE[r], name) < high for r, (low, high) in zip(SPEED_RANGES, ranges, strict=True)
+        )
+    assert "of {slow.position} m (slow) and {cruise.position} m (cruise)".format(**TYPICAL_NOISE) in page
 
 
 def test_draws_are_reproducible_and_differ():

@@ -10,7 +10,8 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.stiffness import AT_REST, MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossTerms, Vehicle
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.scenarios.vehicles import vehicle_names
 
 STIFF = Vehicle(m11=30.0, m22=60.0, m33=4.0, d11=20.0, d22=60.0, d33=60.0)
 CALM = PRESETS["slow-calm"]
@@ -50,12 +51,15 @@ def test_the_stiffest_vehicle_of_a_mismatch_is_checked():
     replace(CALM, mismatch=RandomMismatch(quadratic=(0.0, 10.0)), substeps=10)
 
 
-def test_extremes_are_at_least_as_stiff_as_all_draws():
-    mismatch = PRESETS["cruise-storm"].mismatch
-    rng, load = np.random.default_rng(0), (250.0, 0.0, 100.0)
-    bound = fastest_rate(mismatch.extremes(PAPER_VEHICLE), load).max()
-    drawn = [mismatch.draw(rng.random, PAPER_VEHICLE) for _ in range(300)]
-    rates = fastest_rate(Coefficients(*np.array([v.coefficients for v in drawn]).T), load)
+@pytest.mark.parametrize("name", ["paper", *vehicle_names()])
+@pytest.mark.parametrize("mass", [(0.8, 1.2), (0.5, 2.0)], ids=str)
+def test_extremes_are_at_least_as_stiff_as_all_draws(name, mass):
+    scenario = PRESETS["cruise-storm"] if name == "paper" else as_scenario(f"cruise-storm@{name}")
+    mismatch, vehicle, act = replace(scenario.mismatch, mass=mass), scenario.vehicle, scenario.actuators
+    rng, load = np.random.default_rng(0), (act.F_u_max, 0.0, act.F_r_max)
+    bound = fastest_rate(mismatch.extremes(vehicle), load).max()
+    drawn = [mismatch.draw(rng.random, vehicle).all_coefficients for _ in range(300)]
+    rates = fastest_rate(tuple(np.array(drawn).T), load)
     assert (rates <= bound * (1 + 1e-12)).all()
     assert rates.max() > 0.5 * bound
 
@@ -65,7 +69,7 @@ def test_the_extremes_of_a_mismatch_without_intervals_are_the_one_draw():
     mismatch, more = RandomMismatch(**factors), {"Y_uv": 40.0, "Y_ur": 5.0, "N_uv": 5.0, "N_ur": 20.0, "Y_vr": 3.0}
     vehicle = replace(PAPER_VEHICLE, X_uu=40.0, Y_vv=150.0, N_rr=60.0, **more)
     drawn = mismatch.draw(np.random.default_rng(0).random, vehicle).all_coefficients
-    np.testing.assert_allclose(mismatch.extremes(vehicle), np.repeat(np.array([drawn]).T, 32, axis=1), rtol=1e-14)
+    np.testing.assert_allclose(mismatch.extremes(vehicle), np.repeat(np.array([drawn]).T, 64, axis=1), rtol=1e-14)
 
 
 def test_fast_starts_and_other_vehicles_are_checked_before_anything_changes():

@@ -132,7 +132,7 @@ def test_privileged_policies_are_not_wrapped(name):
 
 
 def test_an_agent_of_a_speed_range_warns_of_speeds_in_si_units():
-    policy = make_policy("apg-slow", vehicle="otter")
+    policy = make_policy("ppo-slow", vehicle="otter")
     with pytest.warns(UserWarning, match=r"trained at reference speeds of 0 to 0.27 m/s") as caught:
         run(policy, changed(PRESETS["cruise-calm"], "otter"), steps=2)
     assert len(caught) == 1

@@ -159,7 +159,7 @@ def test_what_is_no_agent_is_refused():
     with pytest.raises(FileNotFoundError):
         make_policy("runs/nothing-here")
     with pytest.raises(ValueError, match="takes no option 'gains'"):
-        make_policy("apg-cruise", gains="paper")
+        make_policy("ppo-cruise", gains="paper")
 
 
 @pytest.mark.parametrize("inputs", [Inputs(), Inputs((2, 9), integrals=False)], ids=["plain", "preview"])

@@ -13,7 +13,7 @@ from baselines import list_policies, make_policy
 from baselines.policy import Privileged, Remembering
 
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
-WRAPPED = ["helm:guard", "apg-cruise:guard=ekf"]
+WRAPPED = ["helm:guard", "ppo-cruise:guard=ekf"]
 GUARDED = [*PLAIN, *WRAPPED, "helm:guard=nmpc-adverse"]
 BAD = (math.nan, math.inf, -math.inf, 1e30, -1e30)
 NOT_POSITIVE = (0.0, -1.0)  # invalid for limits and control period

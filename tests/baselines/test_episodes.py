@@ -13,7 +13,7 @@ LOSING = {**PRESETS["cruise-storm"].to_dict(), "steps": 200, "lost_distance": 2.
 
 
 @pytest.mark.parametrize(
-    ("policy", "scenario"), [("integral-normalised", SHORT), ("open-loop", LOSING), ("apg-cruise", SHORT)]
+    ("policy", "scenario"), [("integral-normalised", SHORT), ("open-loop", LOSING), ("ppo-cruise", SHORT)]
 )
 def test_a_record_equals_an_episode_of_the_environment(policy, scenario):
     record, controller = run_episode(policy, scenario, seed=3), make_policy(policy)

@@ -5,6 +5,7 @@ import dataclasses
 import html.parser
 import io
 import json
+import math
 import re
 import subprocess
 import sys
@@ -17,10 +18,11 @@ import pytest
 from rich.console import Console
 
 import baselines
+from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.control import Registration
 from baselines.evaluation import command as evaluation
 from baselines.evaluation import metrics, recorded
@@ -42,6 +44,7 @@ ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "steady_rmse_m": dict, "score": type(None),
     "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failed": int,
     "failure_rate": float, "failure_rate_bound": float, "to_best_m": dict,
+    "failed_within": type(None), "episodes_within": type(None),
     "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
     "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
@@ -228,7 +231,7 @@ def few_recorded(monkeypatch):
 
 
 def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, capsys):
-    assert call("--suite", "benchmark-v2", "--episodes", "2", "--policy", "open-loop", "--jobs", "1", "--out", "a") == 0
+    assert call("--suite", "benchmark-v3", "--episodes", "2", "--policy", "open-loop", "--jobs", "1", "--out", "a") == 0
     page = Page((tmp_path / "a" / "report.html").read_text(encoding="utf-8"))
     for text in ("score", "clairvoyant*", "cruise-storm", "Definitions of the columns", "--episodes 2", "numpy"):
         assert text in page.text
@@ -343,7 +346,7 @@ def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
 
 def test_default_request_is_the_benchmark_with_the_expert(tmp_path):
     request = Request.of(Options(out=tmp_path / "new" / "folder"))
-    assert (request.suite, request.policies) == ("benchmark-v2", ("backstepping",))
+    assert (request.suite, request.policies) == ("benchmark-v3", ("backstepping",))
     assert {run.policy for run in request.earlier} == set(baselines.list_policies()) - {"backstepping"}
     assert request.workers in (Workers(1), Workers(2))
     assert request.options.out.is_dir()
@@ -434,7 +437,7 @@ def only_in(name):
 
 
 def test_warnings_of_a_policy_are_recorded():
-    part = part_of("apg-slow", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes)
+    part = part_of("ppo-slow", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes)
     assert part.error is None
     assert "was trained at reference speeds of 0 to 0.5 m/s" in part.warnings[0]
 
@@ -456,6 +459,33 @@ def test_no_torch_is_imported():
         "sys.exit(not {'torch', 'pygame', 'matplotlib'}.isdisjoint(sys.modules))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=SCRIPT.parent, check=True)
+
+
+def test_episodes_that_need_more_than_the_limits_are_said_before_and_counted_apart(call, tmp_path, capsys):
+    """On lines linear drag decides: beyond 1.2 m/s through water it exceeds 84 N."""
+    path, flow = RandomPath((0.5, 1.1), 0.1, ("line",)), RandomCurrent(0.4, relative=False)
+    act = dataclasses.replace(PRESETS["cruise-calm"].actuators, F_u_max=84.0)
+    scenario = dataclasses.replace(
+        PRESETS["cruise-calm"], name="weak", path=path, current=flow, actuators=act, lost_distance=3.0
+    )
+    cell, lines = drawn(scenario, 8, 0), []
+    for episode in cell.episodes:
+        (x, y), (V_x, V_y) = episode.path.derivatives(np.zeros(1))[1, :, 0], (episode.current.V_x, episode.current.V_y)
+        lines.append(70.0 * math.hypot(x - V_x, y - V_y) > 84.0)
+    assert cell.beyond.tolist() == lines
+    assert 0 < sum(lines) < 8
+    scenario.save(tmp_path / "weak.toml")
+    words = "--scenario", "weak.toml", "--policy", "los-pid", "--episodes", "8", "--jobs", "1", "--out", "out"
+    assert call(*words) == 0
+    said = f"{sum(lines)} of 8 episodes of weak need more than the limits in their current"
+    assert f"note: {said}" in capsys.readouterr().err
+    assert said in Path("out/report.html").read_text(encoding="utf-8")
+    rows = json.loads(Path("out/results.json").read_text(encoding="utf-8"))["results"]
+    for row, one in zip(rows, ResultFile.read(Path("out/results.npz")).runs, strict=True):
+        assert row["policy"] == one.policy
+        assert row["episodes_within"] == 8 - sum(lines)
+        assert row["failed_within"] == int((one.measures.failed & ~cell.beyond).sum())
+        assert row["failed"] == int(one.measures.failed.sum())
 
 
 def test_a_mission_is_evaluated_and_leaves_its_reference(call, capsys):

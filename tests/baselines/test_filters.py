@@ -1,4 +1,4 @@
-"""Filters: those with fixed gains against linear theory, and the equations of the extended Kalman filter."""
+"""Filters: those with scheduled gains against linear theory, and the equations of the extended Kalman filter."""
 
 import json
 from dataclasses import replace
@@ -12,14 +12,27 @@ from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import symmetric, triangle
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, TYPICAL_NOISE
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.agents import filters
-from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, MEMORY_ENTRIES, ROWS, SHARED
+from baselines.agents.filters import (
+    ACROSS_MEASURED,
+    ALONG_MEASURED,
+    BIAS_ROWS,
+    BIASED,
+    LAGS,
+    LEVELS,
+    MEMORY_ENTRIES,
+    POSITION_LEVELS,
+    ROWS,
+    SHARED,
+    VELOCITY_LEVELS,
+)
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import error_dynamics
 from baselines.estimation.filter_equations import measured_update, predicted
@@ -31,21 +44,26 @@ from baselines.estimation.sea_model import (
     transition,
     wave_transition,
 )
-from baselines.evaluation.rollout import make_env
 from research.trainings import filter_gains
 
-KINDS = list(zip(filter_gains.TUNINGS, LAGS, strict=True))
+KINDS = range(len(LAGS))
 SPEEDS = (0.08, 0.12, 0.28, 0.6, 1.1, 1.7)
+NAMES = [*(name for name in Estimate._fields if name != "lag"), *BIAS_ROWS]
 
 
-def tabled(kind, speed):
-    """Return the gain of the table at a speed, shape (SIZE, 6)."""
+def tabled(kind, speed, levels=(1.0, 1.0)):
+    """Return the gain of the table at a speed and noise levels, without the lag, shape (21, 6), or (23, 6)."""
     own = filters.gains("cruise" if speed > 0.4 else "slow")[kind]
-    K, s = np.zeros((STATE_SIZE, 6)), filters.speed_share(speed)
-    for part, entries, measured in zip(own, (ALONG, ACROSS), (ALONG_MEASURED, ACROSS_MEASURED), strict=True):
+    K, s = np.zeros((len(NAMES) if kind == BIASED else STATE_SIZE - 1, 6)), filters.speed_share(speed)
+    p, v = (
+        [np.interp(np.log(x), np.log(knots), unit) for unit in np.eye(len(knots))]
+        for x, knots in zip(levels, (POSITION_LEVELS, VELOCITY_LEVELS), strict=True)
+    )
+    basis = np.kron(np.kron(p, v), s ** np.arange(4))
+    for part, entries, measured in zip(own, filters.entries_of(kind), (ALONG_MEASURED, ACROSS_MEASURED), strict=True):
         for entry, row in zip(entries, part, strict=True):
             for sensor, coefficients in zip(measured, row, strict=True):
-                K[getattr(PLACE, entry), getattr(PLACE, sensor)] = np.polyval(coefficients[::-1], s)
+                K[NAMES.index(entry), NAMES.index(sensor)] = coefficients @ basis
     return K
 
 
@@ -58,19 +76,18 @@ def test_the_table_is_what_its_command_writes():
                 np.testing.assert_allclose(a[part], b[part], rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", [0, 1])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("speed", [0.2, 1.0])
 def test_gains_are_those_of_the_steady_covariance(kind, speed):
     """Prediction and update of a covariance, Joseph's form, until nothing changes any more."""
-    tuning, lag = KINDS[kind]
-    A, H, Q, R = filter_gains.problem(speed, lag, tuning)
+    A, H, Q, R = filter_gains.problem(speed, kind, (2.0, 0.5))
     P = np.eye(len(A))
-    for _ in range(3000):
+    for _ in range(6000):
         P = A @ P @ A.T + Q
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         left = np.eye(len(A)) - K @ H
         P = left @ P @ left.T + K @ R @ K.T
-    found = np.delete(filter_gains.gain(speed, lag, tuning), PLACE.lag, axis=0)
+    found = np.delete(filter_gains.gain(speed, kind, (2.0, 0.5)), PLACE.lag, axis=0)
     np.testing.assert_allclose(found, K, rtol=1e-3, atol=1e-5 * np.abs(K).max())
 
 
@@ -82,17 +99,16 @@ def test_the_vehicle_model_is_that_of_the_linearised_equations():
     np.testing.assert_allclose(H[3:5, PLACE.V_x : PLACE.V_y + 1], np.eye(2), atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [0, 1])
-def test_gains_between_the_speeds_are_stable_and_near_those_of_the_equation(kind):
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_with_gains_between_speeds_and_levels_are_near_those_of_the_equation(kind):
+    """Standard deviations of position and heading; the gains of the table make the errors shrink everywhere."""
+    rng = np.random.default_rng(kind)
     for speed in SPEEDS:
-        A, H, _ = filter_gains.model(speed, LAGS[kind])
-        kept = [i for i in range(STATE_SIZE) if i != PLACE.lag]
-        exact, table = filter_gains.gain(speed, LAGS[kind], filter_gains.TUNINGS[kind]), tabled(kind, speed)
-        radius = [
-            max(abs(np.linalg.eigvals(((np.eye(STATE_SIZE) - K @ H) @ A)[np.ix_(kept, kept)]))) for K in (exact, table)
-        ]
-        assert max(radius) < 0.999
-        assert np.abs(table - exact).sum() < 0.1 * np.abs(exact).sum()
+        levels = tuple(np.exp(rng.uniform(np.log((0.2, 0.3)), np.log((20.0, 3.0)))).tolist())
+        A, H, Q, R = filter_gains.problem(speed, kind, levels)
+        exact = np.delete(filter_gains.gain(speed, kind, levels), PLACE.lag, axis=0)
+        ratio = spread(A, H, Q, R, tabled(kind, speed, levels)) / spread(A, H, Q, R, exact)
+        assert ratio[:3].max() < 1.06
 
 
 def spread(A, H, Q, R, K):
@@ -110,13 +126,12 @@ def test_errors_of_the_gains_for_other_vehicles(name):
     worst = np.zeros(6)
     for speed in (0.5, 1.5) if model.slowest else (0.2, 0.5, 1.5):
         drags = dict(zip(("d11", "d22", "d33"), model.drag(speed), strict=True))  # scales of the disturbances
-        for kind, (tuning, lag) in enumerate(KINDS):
-            A, H, _, R = filter_gains.problem(speed, lag, tuning, model.vehicle)
-            Q = filter_gains.problem(speed, lag, tuning, replace(model.vehicle, **drags))[2]
+        for kind in KINDS:
+            A, H, _, R = filter_gains.problem(speed, kind, vehicle=model.vehicle)
+            Q = filter_gains.problem(speed, kind, vehicle=replace(model.vehicle, **drags))[2]
             P = solve_discrete_are(A.T, H.T, Q, R)
             own = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-            theirs = np.delete(tabled(kind, speed), PLACE.lag, axis=0)
-            worst = np.maximum(worst, (spread(A, H, Q, R, theirs) / spread(A, H, Q, R, own))[:6])
+            worst = np.maximum(worst, (spread(A, H, Q, R, tabled(kind, speed)) / spread(A, H, Q, R, own))[:6])
     assert worst[:3].max() < 1.3  # position and heading
     assert worst[[3, 5]].max() < 3.5  # velocities through the water, which nobody measures, and the yaw rate
     assert worst[4] < 2.7
@@ -137,29 +152,32 @@ def seen(memory, kind, name):
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])
-def test_small_deviations_follow_the_linear_filter(heading):
+@pytest.mark.parametrize("kind", [0, BIASED])
+def test_small_deviations_follow_the_linear_filter(heading, kind):
     """Along the world's x, and turned: what is a vector in the world turns along."""
     speed, rng = 1.0, np.random.default_rng(0)
-    A, H, _ = filter_gains.model(speed, LAGS[0])
-    K, z, memory = tabled(0, speed), np.zeros(STATE_SIZE), [np.zeros(1)] * ROWS
+    A, H, *_ = filter_gains.problem(speed, kind)
+    K, z, memory = tabled(kind, speed, (0.2, 0.3)), np.zeros(len(A)), [np.zeros(1)] * ROWS
     F_u = PAPER_VEHICLE.d11 * speed
     held = F_u / filter_gains.storm_at(speed).actuators.F_u_max
     for k in range(40):
         y = 1e-4 * rng.standard_normal(6)
         _, memory = filters.filter_step(straight(speed, heading, y, (held, 0.0)), speed, memory, ARRAYS)
         if k == 0:
-            z[:6], memory = y, list(memory)
-            memory[SHARED + MEMORY_ENTRIES.index("F_u")] = np.array([F_u])  # a start from rest is a large deviation
-        else:
-            ahead = A @ z
-            z = ahead + K @ (y - H @ ahead)
+            memory = list(memory)
+            for i in KINDS:  # a start from rest is a large deviation
+                memory[SHARED + i * len(MEMORY_ENTRIES) + MEMORY_ENTRIES.index("F_u")] = np.array([F_u])
+        ahead = A @ z
+        z = ahead + K @ (y - H @ ahead) if k else np.concatenate((y, z[6:]))
     c, s = np.cos(heading), np.sin(heading)
-    found = {name: seen(memory, 0, name) for name in MEMORY_ENTRIES}
+    found = {name: seen(memory, kind, name) for name in MEMORY_ENTRIES}
     for a, b in filters.VECTORS:
         found[a], found[b] = c * found[a] + s * found[b], c * found[b] - s * found[a]
     found |= {"psi": found["psi"] - heading, "u": found["u"] - speed, "F_u": found["F_u"] - F_u}
-    for name in MEMORY_ENTRIES:
-        assert found[name] == pytest.approx(z[getattr(PLACE, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
+    if kind == BIASED:
+        found |= {name: float(memory[SHARED - 2 + i][0]) for i, name in enumerate(BIAS_ROWS)}
+    for name, x in found.items():
+        assert x == pytest.approx(z[NAMES.index(name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
 
 
 def test_a_position_without_a_new_fix_is_ignored():
@@ -173,22 +191,83 @@ def test_a_position_without_a_new_fix_is_ignored():
     assert held == [False, False, False, False, True, False]
 
 
-def test_estimates_are_more_accurate_than_noisy_measurements():
-    """What it is for: the expert steers through noise alone, and the filters say where the vehicle is."""
-    scenario, errors = PRESETS["slow-noise"], []
-    env, law, memory = make_env(scenario), Backstepping(), [np.zeros(1)] * ROWS
+def test_velocities_that_do_not_change_are_ignored():
+    """After a velocity freezes, the filters predict it: the vehicle still slows down as without thrust."""
+    memory, out = [np.zeros(1)] * ROWS, []
+    for k in range(40):
+        output, memory = filters.filter_step(
+            straight(1.0, 0.0, (0, 0, 0, 1e-3 * (-1) ** min(k, 30), 0, 0)), 1.0, memory, ARRAYS
+        )
+        out.append(bool(output.velocity_held[0]))
+    assert out == [False] * 31 + [True] * 9
+
+
+def outputs_in(scenario, steps=400, n=6):
+    """Return true x, y errors and outputs of the filters while a law steers, for n episodes and some steps."""
+    env = UnderactuatedAUVTrackVectorEnv(n, [scenario] * n)
+    law, memory, found = Backstepping(), [np.zeros(n)] * ROWS, []
     observation, _ = env.reset(seed=3)
-    for _ in range(300):
-        o = decode_observation(observation[None])
+    for _ in range(steps):
+        o = decode_observation(observation.astype(float))
         output, memory = filters.filter_step(o, np.hypot(o.u_R, o.v_R), memory, ARRAYS)
-        true = env.unwrapped.state[:2] - np.array((env.unwrapped.reference.x, env.unwrapped.reference.y))
-        measured = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
-        places = [measured, *((z.x_e, z.y_e) for z in output.estimates)]
-        errors.append([np.hypot(*(np.ravel(p) - true)) for p in places])
+        true = env.pose[:, 0] - env.reference.x, env.pose[:, 1] - env.reference.y
+        found.append((true, to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi), output))
         observation, *_ = env.step(law.predict(observation)[0])
-    seen, rough, calm = np.sqrt(np.square(errors[120:]).mean(axis=0))
+    return found
+
+
+def rms(found, part):
+    errors = [np.hypot(*np.subtract(part(measured, output), true)) for true, measured, output in found[200:]]
+    return float(np.sqrt(np.square(errors).mean()))
+
+
+def test_estimates_are_more_accurate_than_noisy_measurements():
+    found = outputs_in(PRESETS["slow-noise"])
+    seen = rms(found, lambda measured, _: measured)
+    rough, calm = (rms(found, lambda _, output, i=i: output.estimates[i][:2]) for i in (0, 1))
     assert calm < 0.25 * seen
     assert calm < rough < 0.7 * seen
+
+
+@pytest.mark.parametrize("factors", [(0.2, 1.0), (1.0, 3.0), (6.0, 1.0)])
+def test_noise_levels_are_those_of_the_sensors(factors):
+    for speed_range, unit in LEVELS.items():
+        scenario = PRESETS[f"{speed_range}-storm"]
+        sensors = replace(TYPICAL_NOISE[speed_range], position=unit[0] * factors[0], velocity=unit[2] * factors[1])
+        found = outputs_in(replace(scenario, sensors=sensors))
+        levels = np.sqrt([[np.mean(x) for x in output.levels] for *_, output in found[200:]]).mean(axis=0)
+        np.testing.assert_allclose(levels[[0, 2]], factors, rtol=0.2)
+        assert levels[1] == pytest.approx(1.0, rel=0.2)
+
+
+def test_noise_with_a_correlation_time_has_a_slow_level():
+    storm = PRESETS["cruise-storm"]
+    found = outputs_in(replace(storm, sensors=replace(storm.sensors, position=0.3, correlation=2.0)))
+    levels = np.sqrt([[np.mean(x) for x in output.levels] for *_, output in found[200:]]).mean(axis=0)
+    assert levels[0] < 2.0
+    assert levels[3] > 6.0
+
+
+def test_a_bias_of_the_velocity_is_estimated():
+    storm = PRESETS["cruise-storm"]
+    found = outputs_in(replace(storm, sensors=replace(storm.sensors, velocity_bias=(0.05, 0.05))))
+    bias = np.mean([output.bias for *_, output in found[250:]], axis=(0, 2))
+    np.testing.assert_allclose(bias, 0.05, atol=0.006)
+    rough, faulty = (rms(found, lambda _, output, i=i: output.estimates[i][:2]) for i in (0, BIASED))
+    assert faulty < 0.3 * rough
+
+
+def test_a_moment_from_outside_has_no_side_force_of_the_rudder():
+    """In the model of the filters, as in `dynamics.from_outside`; the moment of the rudder has it."""
+    vehicle, still = vehicle_model("lauv").vehicle, np.zeros(STATE_SIZE)
+    still[PLACE.u], still[PLACE.lag] = 1.0, 1e-3
+    sways = []
+    for outside, rudder in ((5.0, 0.0), (0.0, 5.0)):
+        z = Estimate(*still)._replace(N=outside, F_r=rudder)
+        after = transition(z, (0.0, rudder), (0.0, 0.0), 1e-3, vehicle.all_coefficients, FLOATS)
+        sways.append(after.v / 1e-3)
+    assert sways[0] == pytest.approx(5.0 * vehicle.eps / vehicle.m33, rel=0.02)
+    assert abs(sways[1]) < 0.02 * sways[0]
 
 
 # The extended Kalman filter: derivatives against CasADi, covariances against matrix algebra.

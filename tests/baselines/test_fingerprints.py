@@ -41,9 +41,9 @@ def test_all_policies_have_different_fingerprints():
 
 
 def test_suffixes_count():
-    names = "helm", "helm:checked", "helm:guard", "helm:guard=ekf", "helm:guard=ekf:checked"
+    names = "helm", "helm:guard", "helm:guard=ekf"
     assert len({fingerprint(name) for name in names} - {""}) == len(names)
-    assert fingerprint("helmet:guard") == fingerprint("helmet:checked") == fingerprint("helm:guard=nobody") == ""
+    assert fingerprint("helmet:guard") == fingerprint("helm:guard=nobody") == ""
 
 
 def test_options_gains_and_vehicles_count(monkeypatch):

@@ -1,23 +1,18 @@
-"""The guard of an agent, its alarms by hand and its handover; the check of measurements, in storms with faults."""
+"""The guard of an agent: its alarms by hand and its handover."""
 
 import itertools
 import math
-from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from marks import slow_except
 
-from auv_gym.effects.faults import Fault, RandomFaults
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.task.observation import SIZE, Observation, decode_observation, encode_observation
+from auv_gym.task.observation import Observation, encode_observation
 from baselines import make_policy
 from baselines.agents import guard
-from baselines.agents.checked import Checked
 from baselines.agents.guard import ALARMS, GUARD_SHARE, LEFT, MEAN, Guarded, Thresholds, bounded_law
 from baselines.control.backstepping import GAINS, lyapunov_terms
 from baselines.evaluation.cells import drawn
@@ -121,7 +116,7 @@ def test_the_memory_is_reset_with_the_episode():
 def test_without_an_alarm_an_agent_with_a_guard_is_the_agent():
     scenario = PRESETS["cruise-noise"]
     episodes = drawn(scenario, 3, 7).episodes
-    own, guarded = (rollout(make_policy(name), scenario, episodes) for name in ("apg-cruise", "apg-cruise:guard"))
+    own, guarded = (rollout(make_policy(name), scenario, episodes) for name in ("ppo-cruise", "ppo-cruise:guard"))
     np.testing.assert_array_equal(own.errors, guarded.errors)
 
 
@@ -141,7 +136,7 @@ def test_the_law_takes_over_from_a_saturated_agent():
     """Without a guard the vehicle turns in circles until the end; with one it returns to the path."""
     scenario = PRESETS["cruise-calm"]
     episodes = drawn(scenario, 2, 7).episodes
-    plain, inner = (Saturated(make_policy("apg-cruise"), scenario.steps // 3) for _ in range(2))
+    plain, inner = (Saturated(make_policy("ppo-cruise"), scenario.steps // 3) for _ in range(2))
     without, guarded = (rollout(p, scenario, episodes).errors[-1] for p in (plain, Guarded(inner, bounded_law())))
     assert (without > 2.0).all()
     assert (guarded < 2.0).all()
@@ -163,92 +158,7 @@ def test_after_the_handover_the_commands_are_those_of_the_fallback_bit_for_bit()
     assert taken > 40
 
 
-# The check of measurements replaces those that a fault has changed, and no others.
-
-N = 4
-BEGIN, END = 150, 230  # control steps
-
-
-class Recorder:
-    """A policy that keeps the observations that it gets, and acts as another one."""
-
-    def __init__(self, policy):
-        self.policy, self.preview, self.seen = policy, policy.preview, []
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        self.seen.append(observation.copy())
-        return self.policy.predict(observation, state, episode_start, deterministic)
-
-
-def run(name, scenario, *faults, steps=300):
-    """Return the states over ground (steps, N, 6), and the observations of environment and policy (steps, N, n)."""
-    recorder = Recorder(make_policy(name))
-    policy, memory = Checked(recorder), None
-    env = UnderactuatedAUVTrackVectorEnv(N, scenario, preview=policy.preview)
-    episodes = [replace(scenario.draw(np.random.default_rng([4, i])), faults=faults) for i in range(N)]
-    observation, _ = env.reset(seed=0, options={"episode": episodes})
-    true, given = [], []
-    for _ in range(steps):
-        x, y, psi, u, v, r = env.state.T
-        V_x, V_y = env.current.T
-        c, s = np.cos(psi), np.sin(psi)
-        true.append((x, y, psi, u + c * V_x + s * V_y, v - s * V_x + c * V_y, r))
-        given.append(observation.copy())
-        action, memory = policy.predict(observation, memory)
-        observation, *_ = env.step(action)
-    return np.array(true).transpose(0, 2, 1), np.array(given), np.array(recorder.seen)
-
-
-@pytest.mark.parametrize("case", slow_except(["storm"], ["calm", "mismatch", "actuator", "storm"]))
-@pytest.mark.parametrize("speed_range", ["slow", "cruise"])
-def test_without_faults_nothing_is_replaced(speed_range, case):
-    """After the start, in which the vehicle is far from its reference; a policy that keeps up is taken."""
-    _, given, seen = run("helm", PRESETS[f"{speed_range}-{case}"])
-    np.testing.assert_array_equal(seen, given)
-
-
-@pytest.mark.parametrize(
-    ("kind", "row", "most"),
-    [
-        ("heading frozen", 2, 0.12),
-        ("velocity frozen", 3, 0.3),
-        ("velocity missing", 3, 0.3),
-        ("yaw rate frozen", 5, 0.08),
-    ],
-)
-def test_a_changed_measurement_is_replaced_by_one_close_to_the_truth(kind, row, most):
-    """Mean error over the fault in storms, beside that of the measurement; the other measurements stay."""
-    scenario = replace(PRESETS["cruise-storm"], faults=RandomFaults((kind,)))
-    true, given, seen = run("helm", scenario, Fault(kind, 0.1 * BEGIN - 0.05, 0.1 * END - 0.05))
-    errors = []
-    for rows in (given, seen):
-        o = decode_observation(rows[BEGIN:END].reshape(-1, rows.shape[-1])[:, :SIZE])
-        measured = {2: np.arctan2(o.sin_psi, o.cos_psi), 3: o.u_R + o.u_e, 5: o.r_R + o.r_e}[row]
-        off = measured - true[BEGIN:END, :, row].ravel()
-        errors.append(np.abs((off + np.pi) % (2 * np.pi) - np.pi if row == 2 else off).mean())
-    raw, replaced = errors
-    assert replaced < most
-    assert replaced < 0.6 * raw
-    np.testing.assert_array_equal(seen[:BEGIN], given[:BEGIN])
-    assert (seen[BEGIN + 2 : END] != given[BEGIN + 2 : END]).any(axis=2).all()
-    np.testing.assert_array_equal(seen[END + 60 :], given[END + 60 :])
-    ahead = []  # the preview in the world: it turns with the heading
-    for rows in (given[END - 1], seen[END - 1]):
-        o, (x, y) = decode_observation(rows), rows[:, SIZE : SIZE + 2].T
-        ahead.append((x * o.cos_psi - y * o.sin_psi, x * o.sin_psi + y * o.cos_psi))
-    np.testing.assert_allclose(*ahead, atol=1e-4)
-
-
-def test_a_real_difference_is_accepted_after_a_while():
-    """A mission that moves by 4 m looks like a position that jumps."""
-    kind = "position jump"
-    scenario = replace(PRESETS["cruise-storm"], faults=RandomFaults((kind,)))
-    _, given, seen = run("helm", scenario, Fault(kind, 0.1 * BEGIN - 0.05, 60.0, (4.0, 0.0)))
-    assert (seen[BEGIN : BEGIN + 20] != given[BEGIN : BEGIN + 20]).any(axis=2).all()
-    np.testing.assert_array_equal(seen[BEGIN + 70 :], given[BEGIN + 70 :])
-
-
-def test_suffixes_work_for_another_vehicle():
-    policy = make_policy("helm-small:guard:checked", "lauv")
+def test_the_suffix_works_for_another_vehicle():
+    policy = make_policy("helm-small:guard", "lauv")
     rows = np.concatenate((observed(e_x=1.0), np.zeros(2 * len(policy.preview))))
     assert np.isfinite(policy.predict(rows)[0]).all()

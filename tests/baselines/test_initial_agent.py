@@ -355,6 +355,15 @@ def test_rates_rise_and_fall():
         Settings(warm_up=2)
 
 
+def test_rates_begin_again_at_half():
+    once, again = (Settings(restart=x, final_share=0.1) for x in (0.0, 0.6))
+    for x in np.linspace(0, 0.99, 34):
+        assert again.share_at(0.6 * x) == pytest.approx(once.share_at(x))
+        if x >= 0.1:
+            assert again.share_at(0.6 + 0.4 * x) == pytest.approx(0.5 * once.share_at(x))
+    assert again.share_at(0.6) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_fine_tuning_keeps_agent_and_objective():
     """Only rates, length, windows and number of vehicles are other."""
     values = read_hyperparameters(shipped(FINE_TUNING_METHOD))

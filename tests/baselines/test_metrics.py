@@ -26,11 +26,9 @@ from baselines.evaluation.score import (
     has_failed,
     in_paper_metres,
     interval_text,
-    lead,
     relative_error,
     score,
     score_text,
-    seeds_score,
     unit_of,
 )
 
@@ -83,16 +81,6 @@ def test_score_by_hand():
     assert score(expert, expert, oracle).mean == 0
     assert score(expert, oracle, oracle).mean == 1
     assert math.isnan(score(oracle, policy, expert).mean)
-
-
-def test_lead_over_a_rival_by_hand():
-    """Errors are 6, 4 and 2 for both anchors and the rival, 3 and 2 for the two seeds: 1/4 and 1/2 ahead."""
-    zero, rival, one = ([np.full(4, a), np.full(4, b)] for a, b in ((1.0, 5.0), (1.0, 3.0), (0.5, 1.5)))
-    seeds = [np.array([[1.0] * 4, [0.5] * 4]), np.array([[2.0] * 4, [1.5] * 4])]
-    found = lead(zero, rival, seeds, one)
-    assert found.mean == pytest.approx(0.375)
-    assert found.ci95 == pytest.approx((0.25, 0.5))  # each seed twice
-    assert seeds_score(zero, seeds, one).mean == pytest.approx(0.875)
 
 
 def test_relative_error_by_hand():

@@ -52,7 +52,7 @@ def test_rate_limited_actuators(speed_range):
 @pytest.mark.parametrize("cell", ["cruise-far-start", "slow-all-at-once"])
 def test_the_environment_has_the_predicted_error(cell):
     """With delayed commands, slow and weak actuators, a current that varies in space, and rounded actions."""
-    own = next(c for c in load_suite("sealed-v2").cells if c.scenario.name == cell)
+    own = next(c for c in load_suite("hard-v1").cells if c.scenario.name == cell)
     policy = make_policy("clairvoyant")
     run = rollout(policy, own.scenario, own.episodes[:6], 10.0)
     np.testing.assert_allclose(run.measures.steady_rmse, policy._trajectory.steady_rmse, rtol=1e-3, atol=TOLERANCE)

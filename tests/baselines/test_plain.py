@@ -15,6 +15,7 @@ from auv_gym.codegen.graph import SYMBOLS, Graph
 from auv_gym.codegen.printing import c_language
 from auv_gym.physics.namespaces import FLOATS
 from baselines.export.plain import plain_function, tangent_function
+from baselines.export.sums import long_sums
 from baselines.export.vectors import Program, plain_program
 from research.site.live.equations import LANGUAGE, javascript
 
@@ -50,6 +51,29 @@ def test_a_function_may_read_and_write_the_same_array(precision):
     shared(source, precision).swap(address(pair), address(np.zeros(1, precision)), address(seen))
     assert pair.tolist() == [5.0, 8.0]
     np.testing.assert_allclose(seen, [1.0, 1.0, math.sin(5.0)], atol=1e-6 if precision == "float32" else 1e-15)
+
+
+def test_long_sums_are_loops_with_the_same_bits():
+    """Two sums with the same factors and one with others, which one of the results and a factor need."""
+    graph, rng = Graph(), np.random.default_rng(0)
+    x = [graph.input(f"x_{i}") for i in range(20)]
+
+    def total(factors):
+        first, *others = (float(c) * factor for c, factor in zip(rng.normal(size=len(factors)), factors, strict=True))
+        return sum(others, first)
+
+    a, b = total(x), total(x)
+    results = {"out": [a * b, total([a + entry for entry in x]), x[0] * 2.0]}
+    wanted = [symbol.index for symbol in results["out"]]
+    assert [(len(p.sums), len(p.factors)) for p in long_sums(graph, wanted)[0]] == [(2, 20), (1, 20)]
+    numbers, found = rng.normal(size=20), []
+    for loops in (False, True):
+        source = plain_function("run", graph, {"x": x}, results, c_language("float64"), "float64", loops)
+        assert ("for (int" in source) == loops
+        found.append(np.zeros(3))
+        shared(source, "float64").run(address(numbers), address(found[-1]))
+    np.testing.assert_array_equal(*found)
+    assert abs(found[0]).min() > 0
 
 
 W, COLUMN = np.arange(12.0).reshape(4, 3) / 7 - 0.8, np.array([[0.1], [-0.2], [0.3], [0.0]])

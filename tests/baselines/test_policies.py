@@ -14,14 +14,12 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
 from auv_gym.task.policy import preview_of
 from baselines import list_policies, make_policy
-from baselines.agents.checked import Checked
-from baselines.agents.guard import Guarded
 from baselines.agents.names import PolicyName
 from baselines.evaluation import recorded
 from baselines.policy import Privileged
 
 PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
-WRAPPED = ["helm:guard", "apg-cruise:guard=ekf", "backstepping:checked"]
+WRAPPED = ["helm:guard", "ppo-cruise:guard=ekf"]
 COMPILED = native.compiler() is not None and native.wanted()
 LOOSE = {"nmpc": 1e-4, "nmpc-adverse": 1e-4}
 """Largest difference of actions between a batch and single vehicles, 1e-5 for all others: solvers have a tolerance."""
@@ -108,13 +106,13 @@ def test_full_information_is_required(name):
 @pytest.mark.parametrize(
     ("name", "parts", "kind"),
     [
-        ("a.py:f:guard=ekf", ("a.py:f", "ekf", False), "python"),
-        ("helm:guard", ("helm", "", False), "agent"),
-        ("model.zip:checked", ("model.zip", None, True), "sb3"),
-        ("runs/a/agent", ("runs/a/agent", None, False), "agent"),
-        ("model.onnx", ("model.onnx", None, False), "onnx"),
-        *((name, (name, None, False), "controller") for name in (":guard", "helm:guards", "helm:guard=")),
-        *((line, (line, None, False), "program") for line in ("cmd:x:guard", "cmd:a.py:b", "cmd:x.zip")),
+        ("a.py:f:guard=ekf", ("a.py:f", "ekf"), "python"),
+        ("helm:guard", ("helm", ""), "agent"),
+        ("model.zip", ("model.zip", None), "sb3"),
+        ("runs/a/agent", ("runs/a/agent", None), "agent"),
+        ("model.onnx", ("model.onnx", None), "onnx"),
+        *((name, (name, None), "controller") for name in (":guard", "helm:guards", "helm:guard=")),
+        *((line, (line, None), "program") for line in ("cmd:x:guard", "cmd:a.py:b", "cmd:x.zip")),
     ],
 )
 def test_parts_and_kind_of_a_name(name, parts, kind):
@@ -122,8 +120,8 @@ def test_parts_and_kind_of_a_name(name, parts, kind):
     assert PolicyName.of(name).kind == kind
 
 
-def test_names_with_suffixes_are_policies():
-    assert recorded.speed_ranges_of("apg-slow:guard=ekf:checked") == ("slow",)
+def test_names_with_a_suffix_are_policies():
+    assert recorded.speed_ranges_of("ppo-slow:guard=ekf") == ("slow",)
     with pytest.raises(ValueError, match="unknown policy 'dog'"):
         make_policy("helm:guard=dog")
 
@@ -141,7 +139,7 @@ def messages_of(policy, keeps_memory, scenario="cruise-storm", **options):
     return [str(w.message) for w in caught if w.filename == __file__]
 
 
-@pytest.mark.parametrize("name", ["integral-normalised", "ekf", "apg-cruise"])
+@pytest.mark.parametrize("name", ["integral-normalised", "ekf", "ppo-cruise"])
 def test_dropped_memory_is_a_warning(name):
     """At every step but the first, except where an episode starts."""
     policy = make_policy(name)
@@ -152,18 +150,8 @@ def test_dropped_memory_is_a_warning(name):
 
 
 def test_an_agent_in_the_other_speed_range_warns_once():
-    for name, scenario in (("apg-slow", "cruise-calm"), ("apg-cruise", "paper-circle")):
+    for name, scenario in (("ppo-slow", "cruise-calm"), ("ppo-cruise", "paper-circle")):
         policy = make_policy(name)
         (message,) = messages_of(policy, True, scenario)
         assert "choose the agent for that speed range" in message
         assert messages_of(policy, True, scenario) == []
-
-
-@pytest.mark.parametrize("fallback", ["", "=ekf"])
-def test_the_order_of_suffixes_does_not_matter(fallback):
-    """Measurements are checked for the policy and for its fallback."""
-    names = f"lqi:checked:guard{fallback}", f"lqi:guard{fallback}:checked"
-    assert PolicyName.of(names[0]) == PolicyName.of(names[1]) == ("lqi", fallback[1:], True)
-    for policy in map(make_policy, names):
-        assert isinstance(policy, Checked)
-        assert isinstance(policy.policy, Guarded)

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow  # a browser draws large pages
 def pages(tmp_path_factory):
     """A folder with two pages: the whole benchmark, and a run of a few policies, one of them with a hostile name."""
     folder = tmp_path_factory.mktemp("pages")
-    request = Request.of(Options(suite="benchmark-v2", out=folder / "out"))
+    request = Request.of(Options(suite="benchmark-v3", out=folder / "out"))
     cells = [replace(cell, episodes=cell.episodes[:3]) for cell in request.cells]
     live = run_all(("backstepping",), cells, step_limit=TIMEOUT)
     order = [cell.scenario.name for cell in cells]

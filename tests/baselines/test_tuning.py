@@ -10,6 +10,7 @@ import pytest
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, as_scenario
 from baselines.evaluation.cells import drawn
 from baselines.evaluation.fingerprints import changed_parts, fingerprint
@@ -19,8 +20,9 @@ from baselines.gains.loading import load_gains, recorded_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tuning import command as tuning
+from baselines.tuning import search
 from baselines.tuning.command import main
-from baselines.tuning.objective import TUNABLES, TuningEpisodes, tuning_scenarios
+from baselines.tuning.objective import RATE_PRICE, TUNABLES, TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import EVALUATIONS, POPULATION, TUNING_EPISODES, TUNING_SEED, VALIDATION_SEED, Budget, tune
 
 
@@ -57,16 +59,37 @@ def test_objective_is_the_capped_steady_state_error_of_single_episodes():
     assert result.smoothness == pytest.approx(np.mean(np.square(np.diff(commands, axis=1))), rel=1e-5)
 
 
+def test_the_rate_of_the_command_has_the_price_of_the_loss_of_helm():
+    """Of each channel, in units of the error scale: `RATE_PRICE` times the mean squared rate."""
+    policy, scenario = baselines.make_policy("los-pid"), PRESETS["cruise-calm"]
+    priced, free = (TuningEpisodes("cruise", 8, TUNING_SEED, priced=p).run(policy) for p in (True, False))
+    rate = 2 * priced.smoothness / scenario.control_dt**2
+    assert priced.cost_m - priced.error_m == pytest.approx(scenario.error_scale * RATE_PRICE["cruise"] * rate)
+    assert free.cost_m == free.error_m == priced.error_m
+
+
+def test_a_search_that_gains_nothing_keeps_its_start(monkeypatch):
+    law, start = TUNABLES["los-pid"], load_gains("los-pid", "slow", TUNABLES["los-pid"].names)
+    worse = {**start, "heading": start["heading"] / 100}
+    monkeypatch.setattr(search, "tune", lambda *_: worse)
+    record = search.search_record(law, recording([]), start, Budget(), PAPER_VEHICLE, 16)
+    assert record["gains"] == record["start"] == start
+    assert record["validation"]["cost_m"] == record["validation"]["start_cost_m"]
+    record = search.search_record(law, recording([]), worse, Budget(0), PAPER_VEHICLE, 16)
+    assert record["gains"] == worse
+
+
 def test_half_of_the_adverse_episodes_are_storms_with_faults():
+    plain = [scenario.name for scenario in tuning_scenarios("slow", "plain")]
     names = [scenario.name for scenario in tuning_scenarios("slow", "adverse")]
-    assert names[: len(CASES)] == [scenario.name for scenario in tuning_scenarios("slow", "plain")]
-    assert names[len(CASES) :] == ["slow-adverse"] * len(CASES)
+    assert names == [*plain, *["slow-adverse"] * len(plain)]
     policy = baselines.make_policy("backstepping")
-    result = TuningEpisodes("slow", 16, TUNING_SEED, "adverse").run(policy)
+    result = TuningEpisodes("slow", 2 * len(plain), TUNING_SEED, "adverse").run(policy)
     assert list(result.case_error_m) == [*CASES, "adverse"]
     cases = [result.case_error_m[case] for case in CASES]
-    assert result.error_m == pytest.approx(0.5 * np.mean(cases) + 0.5 * result.case_error_m["adverse"])
-    assert cases == list(TuningEpisodes("slow", 8, TUNING_SEED).run(policy).case_error_m.values())
+    mean = np.average(cases, weights=[plain.count(f"slow-{case}") for case in CASES])
+    assert result.error_m == pytest.approx(0.5 * mean + 0.5 * result.case_error_m["adverse"])
+    assert cases == list(TuningEpisodes("slow", len(plain), TUNING_SEED).run(policy).case_error_m.values())
 
 
 def test_failed_episodes_count_with_the_cap():
@@ -126,7 +149,7 @@ def test_all_controllers_have_the_same_budget():
 def test_the_file_holds_gains_and_provenance(file, tmp_path, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
     name, before = "integral-normalised", json.loads(file.read_text())
-    arguments = [name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "24"]
+    arguments = [name, "--speed-range", "slow", "--episodes", "32", "--evaluations", "24"]
     assert main([*arguments, "--dry-run"]) == DONE
     assert json.loads(file.read_text()) == before
     monkeypatch.chdir(tmp_path)
@@ -151,7 +174,7 @@ def test_the_file_holds_gains_and_provenance(file, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", TUNABLES)
 def test_every_controller_can_be_searched(file, name, monkeypatch):
     monkeypatch.setattr(TuningEpisodes, "run", brief)
-    assert main([name, "--speed-range", "slow", "--episodes", "16", "--evaluations", "0", "--ship"]) == DONE
+    assert main([name, "--speed-range", "slow", "--episodes", "32", "--evaluations", "0", "--ship"]) == DONE
     record = json.loads(file.read_text())["tuned"][name]["slow"]
     assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
 
@@ -170,7 +193,7 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     Path("start.json").write_text('{"k": 60, "d": 150}')
     monkeypatch.setattr(TuningEpisodes, "run", brief)
     before = recorded_gains()
-    arguments = ["hand.py:HandPoint", "--start", "start.json", "--episodes", "16", "--evaluations", "24"]
+    arguments = ["hand.py:HandPoint", "--start", "start.json", "--episodes", "32", "--evaluations", "24"]
     assert main(arguments) == DONE
     record = json.loads(Path("runs/tune/hand-HandPoint-cruise@paper.json").read_text())
     assert list(record["gains"]) == ["k", "d"]
@@ -199,7 +222,7 @@ def test_a_controller_of_a_file_is_tuned(tmp_path, monkeypatch, capsys):
     [
         ("1 / 0", "ZeroDivisionError: division by zero (bad.py, line 6)"),
         ("np.full((len(observation), 2), np.nan)", "step 0, episode 0: action is [nan nan]; it must be two finite"),
-        ("np.zeros(2)", "step 0: actions have shape (2,) and type float64; for 16 observations they must be"),
+        ("np.zeros(2)", "step 0: actions have shape (2,) and type float64; for 32 observations they must be"),
     ],
 )
 def test_a_controller_of_a_file_that_fails_is_one_line(action, message, tmp_path, monkeypatch, capsys):
@@ -209,7 +232,7 @@ def test_a_controller_of_a_file_that_fails_is_one_line(action, message, tmp_path
         f"    def predict(self, observation, *_): return {action}, None\n"
     )
     Path("start.json").write_text('{"k": 1}')
-    arguments = ["bad.py:Bad", "--start", "start.json", "--episodes", "16", "--evaluations", "24"]
+    arguments = ["bad.py:Bad", "--start", "start.json", "--episodes", "32", "--evaluations", "24"]
     assert main(arguments) == FAILED
     assert capsys.readouterr().err.startswith(f"auv-gym tune: {message}")
     assert not Path("runs").exists()
@@ -225,9 +248,10 @@ def brief(episodes, policy, run=TuningEpisodes.run):
     ("arguments", "reason"),
     [
         (["unknown"], "unknown controller 'unknown'; allowed are integral-normalised, .*, FILE.py:FACTORY"),
-        (["lqi", "--episodes", "24"], "--episodes is 24; it must be a positive multiple of 16"),
+        (["lqi", "--episodes", "48"], "--episodes is 48; it must be a positive multiple of 32"),
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
+        (["lqi", "--error-only", "--ship"], "--ship is for controllers of the package, .* and the whole objective"),
         (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
     ],
 )

@@ -287,7 +287,7 @@ def test_the_check_of_a_policy():
 def test_all_seeds_of_a_training_are_evaluated_together(tmp_path, monkeypatch, capsys):
     """Their mean is that of the table, by hand."""
     monkeypatch.chdir(tmp_path)
-    agents = "helm-any", "ppo-cruise", "apg-cruise"
+    agents = "helm-any", "ppo-cruise", "helm"
     for seed, name in zip((2, 10, 3), agents, strict=True):
         shutil.copytree(SHIPPED_FOLDER / name, Path("runs/x", f"seed-{seed}", "agent"))
     arguments = ["--policy", "runs/x", "--scenario", "cruise-calm", "cruise-current", "--episodes", "3"]
@@ -369,11 +369,11 @@ def test_the_folder_of_a_training_is_a_policy(tmp_path, monkeypatch, capsys):
 
 
 def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
-    request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v2", episodes=2, out=tmp_path))
-    ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
+    request = Request.of(Options(policy=("ppo-slow",), suite="benchmark-v3", episodes=2, out=tmp_path))
+    ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "ppo-slow"}
     assert ran == {"slow"}
-    assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
-    assert "apg-slow was trained for slow scenarios and runs in those only" in request.notes
+    assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 24
+    assert "ppo-slow was trained for slow scenarios and runs in those only" in request.notes
     assert {len(cell.episodes) for _, cell in request.pairs} == {2}
 
 
@@ -446,7 +446,7 @@ def test_a_factory_can_get_the_actuators_of_the_vehicle(tmp_path):
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     code = "def make(vehicle_model=None):\n    return make_policy('los-pid', vehicle_model)\n"
     (tmp_path / "own.py").write_text(f"from baselines import make_policy\n{code}", encoding="utf-8")
-    scenario = changed(replace(PRESETS["cruise-storm"], start=Start()), str(tmp_path / "mine.toml"))
+    scenario = changed(replace(PRESETS["cruise-calm"], start=Start(x_e=1.0)), str(tmp_path / "mine.toml"))
     scenario.save(tmp_path / "saved.toml")
     again = Scenario.load(tmp_path / "saved.toml")
     assert again.known == scenario.known != scenario.vehicle

@@ -107,8 +107,10 @@ def test_a_model_error_changes_ratios_only_and_keeps_the_vehicle_slender():
     for vehicle in (PAPER_VEHICLE, OTHER):
         said = [vehicle_models.with_model_error(vehicle, rng) for _ in range(400)]
         assert np.mean([told != vehicle for told in said]) == pytest.approx(vehicle_models.WRONG, abs=0.07)
-        for name in ("m11", "m33", "Y_ur", "N_uv", "speed"):
+        for name in ("m11", "m33", "Y_ur", "speed"):
             assert {getattr(told, name) for told in said} == {getattr(vehicle, name)}
+        share = vehicle.N_uv / (vehicle.m22 - vehicle.m11)  # of the Munk moment, which scales as a whole
+        assert [told.N_uv / (told.m22 - told.m11) for told in said] == pytest.approx([share] * len(said))
         for name in ("d11", "d22", "d33"):
             shares = [getattr(told, name) / getattr(vehicle, name) for told in said]
             assert low <= min(shares) < low + 0.05
@@ -158,7 +160,7 @@ def test_filters_of_an_agent_use_the_whole_model(name):
         loads.append([np.abs(memory[0][:, row]).mean() for memory in memories])
         observation, *_ = env.step(law.predict(observation)[0])
     whole, part = np.mean(loads, axis=0)
-    assert whole < 0.25 * part
+    assert whole < 0.35 * part
 
 
 def test_vehicle_features_are_bounded_and_equal_the_table():

@@ -26,7 +26,7 @@ pytest.importorskip("pygame")
 
 ROOT = Path(__file__).parents[2]
 TRIO = ("backstepping", "nmpc", "helm")
-PAIR = ("backstepping", "apg-cruise")
+PAIR = ("backstepping", "ppo-cruise")
 COLOURS = [_rgb(look(policy, PAIR).colour) for policy in PAIR]
 
 
@@ -140,7 +140,7 @@ def test_videos_contain_their_frames(tmp_path):
 
 def test_the_command_writes_the_file_and_names_the_episode(tmp_path, capsys):
     out = tmp_path / "video.webp"
-    words = "--policy backstepping apg-cruise --seed 5 --seconds 0.2 --size 320x200 --out"
+    words = "--policy backstepping ppo-cruise --seed 5 --seconds 0.2 --size 320x200 --out"
     assert command.main([*words.split(), str(out)]) == 0
     assert re.fullmatch(rf"written: {out}, cruise-storm, seed 5, \d+ kB\n", capsys.readouterr().out)
 

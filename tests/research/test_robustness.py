@@ -1,63 +1,10 @@
-"""The studies of faults, guards, failure rates and model errors: their rows, and what the pages say."""
-
-import re
+"""The studies of failure rates and model errors: their rows, and what the pages say."""
 
 import numpy as np
 import pytest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from baselines import make_policy
-from baselines.evaluation.rollout import rollout
-from baselines.evaluation.suites import load_suite
-from research.robustness import failure_rate, faults, model_error
-
-
-def test_the_suite_has_each_fault_in_its_episodes():
-    suite = load_suite("faults-v1")
-    for cell in suite.cells:
-        kinds = {fault.kind for episode in cell.episodes for fault in episode.faults}
-        assert kinds == set(cell.scenario.faults.kinds if cell.scenario.faults else ()), cell.scenario.name
-        for episode in cell.episodes:
-            for fault in episode.faults:
-                assert 3.0 - 1e-3 <= fault.end - fault.begin <= 10.0 + 1e-3
-    assert sum(bool(cell.scenario.faults) for cell in suite.cells) == len(suite.cells) - 4
-
-
-@pytest.mark.filterwarnings("ignore:these gains are stable up to")  # the suite has faster references
-def test_rows_are_those_of_rollouts():
-    """An agent for cruise has no row in slow motion."""
-    rows = faults._measure("sealed-v2", "apg-cruise:guard", quick=True)
-    cells = [c for c in load_suite("sealed-v2").cells if c.scenario.name.startswith("cruise")][:2]
-    assert list(rows) == [cell.scenario.name for cell in cells]
-    for cell in cells:
-        ended = rollout(make_policy("apg-cruise:guard"), cell.scenario, cell.episodes[:2]).measures
-        failed = ended.failed | (ended.steady_rmse >= 2.0)
-        row = rows[cell.scenario.name]
-        assert (row["episodes"], row["failed"]) == (2, failed.sum())
-        assert row["error_mm"] == pytest.approx(1e3 * np.where(failed, 2.0, ended.steady_rmse).mean(), abs=0.01)
-
-
-def test_the_page_shows_the_rows():
-    shown, values = faults.context(), faults.STUDY.values()
-    before, after = (values["faults-v1", policy]["slow-heading-frozen"] for policy in ("helm", "helm:checked"))
-    cell = f"{before['failed']}; {before['error_mm'] / 10:.3g} -> {after['failed']}; {after['error_mm'] / 10:.3g}"
-    (_, table), _ = shown["tables"]
-    (row,) = (line for line in table.splitlines() if line.startswith("| heading frozen |"))
-    assert cell in row
-    assert shown["failures"][0] > shown["failures"][1]
-
-
-def test_a_guard_helps_an_agent_that_was_not_trained_on_rate_limits_and_not_helm():
-    """As docs/safety.md says, in sealed-v2."""
-    values = faults.STUDY.values()
-    failed = {
-        policy: sum(row["failed"] for row in values["sealed-v2", policy].values())
-        for policy in ("apg-cruise", "apg-cruise:guard", "helm", "helm:guard")
-    }
-    assert failed["apg-cruise"] > failed["apg-cruise:guard"]
-    assert failed["helm"] < failed["helm:guard"]
-    (row,) = (row for row in faults.guards() if row[0] == "`helm`")
-    assert re.sub(r"; \S+", "", row[2]) == f"{failed['helm']} -> {failed['helm:guard']}"
+from research.robustness import failure_rate, model_error
 
 
 def test_failures_without_feedback_are_counted(monkeypatch):
@@ -118,4 +65,4 @@ def test_recorded_errors_are_reproduced_and_the_sentence_of_the_page_is_true():
         ratios = {p: values[p, speed_range]["wrong"]["ratios"][-1]["ratio"][0] for p in model_error._POLICIES}
         assert ratios["helm"] < 1.1
         assert ratios["helm-any"] < 1.6
-        assert min(ratios["ekf"], ratios["nmpc"]) > 10.0
+        assert 3.5 < min(ratios["ekf"], ratios["nmpc"]) < max(ratios["ekf"], ratios["nmpc"]) < 10.5

@@ -19,8 +19,7 @@ STUDIES = {name: module.STUDY for name, module in MODULES.items() if hasattr(mod
 QUICK = {
     "deployment": "helm-small",
     "failure-rate": "helm slow-storm",
-    "faults": "sealed-v2 apg-cruise:guard",
-    "fine-tuning": "otter los-pid",
+    "fine-tuning": "lauv",
     "identification-coverage": "rate-limits",
     "model-error": "backstepping cruise",
     "speed": "decisions",
@@ -31,7 +30,9 @@ QUICK = {
 
 
 @pytest.mark.filterwarnings("ignore:these gains are stable up to")  # a suite has faster references
-@pytest.mark.parametrize("name", slow_except(set(QUICK) - {"deployment", "identification-coverage"}, QUICK))
+@pytest.mark.parametrize(
+    "name", slow_except(set(QUICK) - {"deployment", "fine-tuning", "identification-coverage"}, QUICK)
+)
 def test_a_quick_form_of_each_study(name, tmp_path, monkeypatch, capsys):
     if name == "deployment" and not all(map(shutil.which, PROGRAMS)):
         pytest.skip("the emulator is not installed")

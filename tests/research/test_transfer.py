@@ -10,7 +10,8 @@ from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from auv_gym.physics.dynamics import rk4_step
+from auv_gym.effects.mismatch import RandomMismatch
+from auv_gym.physics.dynamics import from_outside, rk4_step
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.scenarios.presets import as_scenario
@@ -70,6 +71,17 @@ def test_coriolis_forces_do_no_work():
     assert abs(nu @ np.array(coriolis((A @ A.T) @ nu, nu))) < 1e-12
 
 
+def test_the_planar_masses_of_a_drawn_vehicle_are_those_in_six_degrees_of_freedom():
+    """In level motion the forces v r, u r and u v of the masses are those of Kirchhoff's equations."""
+    known, u, v, r = as_scenario("cruise-calm@remus100").vehicle, 1.1, -0.2, 0.15
+    true = RandomMismatch(mass=1.2, m33=0.9).draw(lambda: 0.0, known)
+    turning = remus100.REMUS100.coriolis([u, v, 0, 0, 0, r], deviation(true.coefficients, known.coefficients), FLOATS)
+    plane = (true.m22 - true.X_vr) * v * r, -(true.m11 - true.Y_ur) * u * r
+    np.testing.assert_allclose([-turning[0], -turning[1]], plane, rtol=2e-3)
+    assert turning[5] == pytest.approx(0, abs=1e-12)
+    assert true.m22 - true.m11 == pytest.approx(true.N_uv)
+
+
 def test_strips_approximate_the_integral():
     x = np.linspace(-0.8, 0.8, 20001)
     flow = 0.1 + 0.3 * x
@@ -110,7 +122,8 @@ class PlanarSimulator:
 
     def advance(self, inputs, dt):
         F_u, F_r, V_x, V_y, X, Y, N = inputs
-        load, h = (F_u + X, Y, F_r + N), dt / self.substeps
+        (X, Y, N), h = from_outside((X, Y, N), self.known.acting), dt / self.substeps
+        load = F_u + X, Y, F_r + N
         for _ in range(self.substeps):
             self.states = np.array(rk4_step(tuple(self.states), load, self.known.acting, h, (V_x, V_y), ARRAYS))
         return self.states, inputs[:2]
@@ -124,6 +137,24 @@ def test_with_the_planar_equations_the_adapter_changes_nothing():
     other = rollout(policy, scenario, cell.episodes, simulator=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
+
+
+@pytest.mark.parametrize("outside", [True, False])
+def test_a_yaw_moment_moves_the_tracked_point_as_in_the_plane(outside):
+    """The rudder's own torque alone has a side force, with which the point keeps its sway velocity at first."""
+    known, t, N = as_scenario("cruise-calm@remus100").vehicle, 0.05, 0.2
+    start = np.array([[0, 0, 0, 1.0, 0, 0]]).T
+    after = []
+    for moment in (N, 0.0):
+        space, inputs = SixDofSimulator("remus100", 1), NO_INPUT._replace(**{"N" if outside else "F_r": moment})
+        space.place([0], start, np.array(AS_PUBLISHED)[:, None])
+        space.rows[12] = remus100.rudder(inputs.F_r, 1.0, FLOATS)  # the angle has no lag
+        load = from_outside((0.0, 0.0, moment), known.acting) if outside else (0.0, 0.0, moment)
+        plane = rk4_step(tuple(start[:, 0].tolist()), load, known.acting, t)
+        after.append((space.advance(np.array(inputs)[:, None], t)[0][4:, 0], plane[4:]))
+    space, (v, r) = np.subtract(*after)
+    np.testing.assert_allclose(space, (v, r), rtol=0.04, atol=0.04 * known.eps * r)
+    assert v / (known.eps * r) == pytest.approx(1.0 if outside else 0.0, abs=0.12)
 
 
 def test_deviations_scale_masses_and_drag():
@@ -185,15 +216,14 @@ def test_the_sentences_of_the_page_are_true():
         for name, plane, *_ in vehicle["policies"]:
             assert float(plane) == pytest.approx(record["policies"][name.strip("`")]["error_m"]["plane"], rel=5e-3)
     assert remus["tau_ci95"][0] < comparison.TAU < remus["tau"]
-    assert boat["tau_ci95"][1] < comparison.TAU
+    assert boat["tau_ci95"][0] < comparison.TAU < boat["tau"]
     best = sorted(boat["policies"], key=lambda name: boat["policies"][name]["error_m"]["plane"])[:4]
     assert all(boat["policies"][name]["growth"] > 1.3 for name in best)
     for turn in values["remus100", "trials"]["turns"]:
         assert turn["space"] / turn["plane"] == pytest.approx(1.0, abs=0.05)
     growth = [row["growth"] for row in remus["policies"].values()]
-    assert 0.9 < np.median(growth) < 1.0
+    assert 1.0 < np.median(growth) < 1.1
     assert max(growth) < comparison.GROWTH
-    assert max(boat["policies"], key=lambda name: boat["policies"][name]["growth"]) == "helm-any"
-    assert min(boat["policies"][policy]["growth"] for policy in ("nmpc", "lqi", "ilos")) > 2.5
+    assert {name for name, row in boat["policies"].items() if row["growth"] > 2} == {"helm-any", "ilos", "nmpc"}
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)

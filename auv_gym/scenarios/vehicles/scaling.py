@@ -13,7 +13,7 @@ from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.units import Units
 from auv_gym.planning.paths import Path
 
-SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
     "path": {"speed": (1, -1)},
     "start": {"x_e": (1, 0), "y_e": (1, 0)},
     "sensors": {
@@ -23,11 +23,11 @@ SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     },
     "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
     "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
-    "waves": {"band": (0, -1)},
+    "waves": {"band": (0, -1), "most_yaw": (0, 0, 1)},
     "faults": {"rate": (0, -1), "time": (0, 1), "jump": (1, 0), "offset": (1, -1), "begin": (0, 1)},
 }  # fmt: skip
-"""Powers of length and time in the dimensions of the entries of a scenario, except dimensionless entries and entries
-with other rules."""
+"""Powers of length, time and mass in the dimensions of the entries of a scenario, except dimensionless entries and
+entries with other rules."""
 _LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
 """SI units of the limits of actuators."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.dynamics import from_outside, rk4_step
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
@@ -143,7 +143,8 @@ def next_state(
     """Return the `STATE_ROWS` components of the state at the end of a stage, after `substeps` integration steps."""
     x, y, psi, u, v, r, *_ = state
     X, N, *force = actuated(state, command, stage)
-    load, current, motion = (X, stage.Y, N), (stage.V_x, stage.V_y), (x, y, psi, u, v, r)
+    _, Y, _ = from_outside((stage.X, stage.Y, stage.N), coefficients)
+    load, current, motion = (X, Y, N), (stage.V_x, stage.V_y), (x, y, psi, u, v, r)
     for _ in range(substeps):
         motion = rk4_step(motion, load, coefficients, stage.dt / substeps, current, ns)
     return [*motion, *force]

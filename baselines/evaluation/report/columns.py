@@ -128,6 +128,12 @@ COLUMNS = (
     Column("failure_rate", "", "failure rate", lambda e, s: e.failed / s.episodes),
     Column("failure_rate_bound", "", "95 % upper confidence bound of the failure rate (one-sided, Clopper and Pearson)",
            lambda e, s: failure_bound(e.failed, s.episodes)),
+    Column("failed_within", "within limits",
+           "failed episodes among those whose plan stays within the limits of the actuators in the mean current of the "
+           "episode; empty where all plans do, and for frozen suites",
+           lambda e, _: e.within and e.within[0], keep=7,
+           show=lambda e, _: NONE if e.within is None else "{} of {}".format(*e.within)),
+    Column("episodes_within", "", "number of these episodes", lambda e, _: e.within and e.within[1]),
     Column("settling_s", "settled [s]", "time of the last position error above the scenario's `error_scale`, mean",
            lambda _, s: s.settling_s, digits(3)),
     Column("effort_ratio", "effort", "mean square of the normalised command, relative to the expert's",

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from auv_gym.scenarios.presets import SPEED_RANGES
@@ -24,6 +25,7 @@ from baselines.evaluation.score import (
     count_failures,
     difference,
     error_cap,
+    has_failed,
     in_paper_metres,
     paired,
     relative_error,
@@ -56,6 +58,7 @@ class Entry:
     capped: Score | None = None  # the score with steady-state errors of at most the error cap
     failed: int = 0  # number of failed episodes, see `score.has_failed`
     error_ratio: float = math.nan  # mean capped steady-state error over that of `score.RIVAL`; nan without it
+    within: tuple[int, int] | None = None  # failed episodes, and all, of those not `Cell.beyond`; None: all are
     to_best: Score | None = None  # [m] steady-state error minus that of the best policy; None if there is one policy
 
 
@@ -95,16 +98,31 @@ def over_seeds(runs: Sequence[Run], trainings: Sequence[tuple[str, ...]]) -> lis
     return results
 
 
-def compare(runs: Sequence[Run]) -> list[Result]:
-    """Return the result of each run."""
+def compare(runs: Sequence[Run], beyond: Mapping[str, NDArray[np.bool_]] | None = None) -> list[Result]:
+    """Return the result of each run.
+
+    Args:
+        runs: the runs.
+        beyond: `Cell.beyond` by the name of the scenario; a scenario that is left out has no such episodes.
+    """
     cases = measures_of(runs)
     parts = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
     entries = [_entry(run.scenario.name, [run], case) for run, case in zip(runs, parts, strict=True)]
+    entries = [_within(entry, case, beyond or {}) for entry, case in zip(entries, parts, strict=True)]
     best = {name: _best([entry for entry in entries if entry.place == name]) for name in cases}
     return [
         Result(run, _to_best(entry, best[entry.place], case, unit_of(run.scenario)))
         for run, case, entry in zip(runs, parts, entries, strict=True)
     ]
+
+
+def _within(entry: Entry, cases: Mapping[str, _Case], beyond: Mapping[str, NDArray[np.bool_]]) -> Entry:
+    """Return an entry of a scenario with the failures among the episodes that are not `beyond`, if others are."""
+    mask = beyond.get(entry.place)
+    if mask is None or not mask.any() or entry.summary is None:
+        return entry
+    failed = has_failed(cases[entry.place][entry.policy], error_cap(entry.place))
+    return replace(entry, within=(int(failed[~mask].sum()), int((~mask).sum())))
 
 
 def pool(runs: Sequence[Run]) -> list[Entry]:

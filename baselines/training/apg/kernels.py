@@ -98,18 +98,21 @@ class LoopKernels:
             _, features, following = self._observed(**arrays)
             observation, places = arrays["observation"], steered(self.loop.parts.model)
             moving = [observation[i] for i in places]
-            within = (*moving, *arrays["correction"], *arrays["integrals"], *arrays["base"])
+            kept = [i for i in range(self.loop.inputs.memory) if i not in self.loop.inputs.constants]
+            remembered, results = ([rows[i] for i in kept] for rows in (arrays["integrals"], following))
+            within = (*moving, *arrays["correction"], *remembered, *arrays["base"])
             shares = _split(
-                gradient((*features, *following), (*d_features, *d_integrals), within),
-                len(moving), self._channels, self.loop.inputs.memory, self._channels,
+                gradient((*features, *results), (*d_features, *(d_integrals[i] for i in kept)), within),
+                len(moving), self._channels, len(kept), self._channels,
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS, arrays.get("known", _PAPER))
             through_law = gradient(action, _sum(d_base, shares[3]), moving)
             terms: dict[int, Any] = dict(zip(places, _sum(shares[0], through_law), strict=True))
+            sums: dict[int, Any] = dict(zip(kept, shares[2], strict=True))
             return {
                 "d_observation": [terms.get(i, 0.0) for i in range(len(observation))],
                 "d_correction": shares[1],
-                "d_integrals": shares[2],
+                "d_integrals": [sums.get(i, 0.0) for i in range(self.loop.inputs.memory)],
             }
 
         after = {

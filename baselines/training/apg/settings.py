@@ -26,7 +26,16 @@ from baselines.training.initial_agent import loaded
 from baselines.training.run_folder import VALIDATIONS
 
 PAIR = 2  # consecutive vehicles of the same group, so that groups have equal shares of drawn models
-_SHARES = ("final_share", "warm_up", "average", "cruise_share", "drawn_share", "error_exponent")  # settings in [0, 1]
+_SHARES = (
+    "final_share",
+    "warm_up",
+    "restart",
+    "average",
+    "cruise_share",
+    "drawn_share",
+    "error_exponent",
+)  # settings in [0, 1]
+_WARM_UP = 0.1  # share of the time after a restart in which the rates rise
 _WEIGHTS = ("derivative_bound", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 """Settings of 0 or more; those of cruise may be None."""
 
@@ -44,6 +53,7 @@ class Settings:
     final_share: float = 0.03  # final over initial learning rates; they decrease along a cosine
     max_grad_norm: float = 0.05  # smaller than most norms, so that all windows have about the same weight
     warm_up: float = 0.0  # share of the run in which both rates rise from zero
+    restart: float = 0.0  # share of the run after which they begin again at half of their initial values; 0: never
     average: float = 0.02  # share of the run over which weights are averaged; the agent has the averaged weights
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
@@ -110,8 +120,12 @@ class Settings:
 
     def share_at(self, progress: float) -> float:
         """Return the factor of the learning rates after a share `progress` of the run."""
-        warm = min(1.0, progress / self.warm_up) if self.warm_up else 1.0
-        return warm * (self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
+        if progress < self.restart or not self.restart:
+            done, warm_up, scale = progress / (self.restart or 1.0), self.warm_up / (self.restart or 1.0), 1.0
+        else:
+            done, warm_up, scale = (progress - self.restart) / (1.0 - self.restart + 1e-12), _WARM_UP, 0.5
+        scale *= min(1.0, done / warm_up) if warm_up else 1.0
+        return scale * (self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(done, 1.0))))
 
     def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
         """Return the optimisers of a network.

@@ -24,7 +24,7 @@ from auv_gym.scenarios.exogenous import (
     wave_components,
     weather_of,
 )
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import OUTCOMES
 from auv_gym.task.model import PLANE
@@ -136,12 +136,12 @@ def _path(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
     storm, current = PRESETS[f"{speed_range}-storm"], episode_of(speed_range, "storm", path, 0).current
-    noise = Measured(*storm.sensors.noise)
+    noise = Measured(*TYPICAL_NOISE[speed_range].noise)
     weather = weather_of(current, storm.control_dt, least_speed([table]), noise, Measured(*[0.0] * 6))
     return {
         "table": _encoded(table, np.float64),
         "beyond": _encoded(table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0], np.float64),
-        "weather": flatten(weather),  # the largest values; the controls of the page scale them
+        "weather": flatten(weather),  # with the typical noise; the controls of the page scale it
     }
 
 

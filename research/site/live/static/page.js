@@ -5,7 +5,7 @@ const PAGE = (() => {
   const KINDS = {
     backstepping: { title: "Expert", text: "A backstepping law of 2005. It has no model of the disturbances.", colour: DATA.colours.backstepping },
     ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, and compensates them.", colour: DATA.colours.ekf },
-    helm: { title: "Trained agent", text: "A network corrects the expert. It also sees the next seconds of the path.", colour: DATA.colours.helm },
+    helm: { title: "Trained agent", text: "A network gives the whole command. It also sees the next seconds of the path.", colour: DATA.colours.helm },
     openLoop: { title: "No feedback", text: "The planned forces alone.", colour: DATA.colours["open-loop"] },
     you: { title: "You", text: "Arrow keys change the planned thrust and rudder.", colour: "#8a5cd6" },
   };
@@ -19,7 +19,7 @@ const PAGE = (() => {
     ["direction", "Direction of the current", 0, 6.28, 0.02, (v) => `${Math.round((v * 180) / Math.PI)}\u00b0`],
     ["gusts", "Gusts", 0, 0.3, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
     ["waves", "Waves", 0, 2, 0.05, (v) => `${Math.round(100 * v)} %`],
-    ["noise", "Sensor noise", 0, 3, 0.05, (v) => `${Math.round(100 * v)} %`],
+    ["noise", "Sensor noise", 0, 6, 0.05, (v) => `${Math.round(100 * v)} %`],
   ];
   const TOGGLES = [["mismatch", "Model error (mass, drag)"], ["actuator", "Slow and weak actuators"]];
   const SPEEDS = [1, 2, 4, 8];

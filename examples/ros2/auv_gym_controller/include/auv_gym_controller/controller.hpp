@@ -94,7 +94,7 @@ class Controller {
   /// Control periods ahead at which `helm` sees the reference; for another agent see its header.
   static constexpr std::array<std::size_t, 4> PREVIEW = {5, 10, 20, 40};
   static_assert(sizeof(auv_agent_view::ahead) == 2 * PREVIEW.size() * sizeof(auv_agent_real), "another preview");
-  /// [s] The longest outage of the position fix in the training of `helm`.
+  /// [s] The longest outage of the position fix that is bridged.
   static constexpr double LONGEST_OUTAGE = 10.0;
 
   /// Share of the yaw moment that fins have at rest, for the agent, which divides by it.
