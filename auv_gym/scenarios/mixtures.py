@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.faults import RandomFaults
-from auv_gym.effects.sensors import NOISES
 from auv_gym.effects.waves import RandomWaves
 from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import RandomPath, Scenario
@@ -152,16 +150,8 @@ def everything() -> Mixture:
     return tuple(parts)
 
 
-def at_typical_noise(scenario: Scenario) -> Scenario:
-    """Return the scenario with the typical level of each noise that it has."""
-    typical, own = TYPICAL_NOISE[scenario.name.partition("-")[0]], scenario.sensors
-    levels: dict[str, Any] = {name: getattr(typical, name) for name in NOISES if getattr(own, name)}
-    return replace(scenario, sensors=replace(own, **levels))
-
-
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
-    "helm-typical-noise": tuple((at_typical_noise(scenario), weight) for scenario, weight in everything()),
     **{f"{speed_range}-outages": outages_and_far_starts(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
 }

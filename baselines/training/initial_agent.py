@@ -106,10 +106,7 @@ def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tupl
         check_adaptable(scenario)
         try:
             adapted = changed(scenario, vehicle_model)
-            for seed in range(
-                _TRIED
-            ):  # raises if the vehicle cannot follow its paths, such as turns too sharp for fins
-                drawn(adapted, 1, seed)
+            drawn(adapted, _TRIED, 0)  # raises if it cannot follow its paths, such as turns too sharp for fins
             scenarios.append((adapted, weight))
         except ValueError as error:
             reasons.append(str(error))

@@ -133,7 +133,8 @@ def search_record(
     factory = partial(tunable.factory, vehicle=vehicle)
     found = tune(factory, draw, start, budget, show) if budget.evaluations else dict(start)
     episodes = draw(check, VALIDATION_SEED)
-    before, after = (episodes.run(factory(dict(gains))) for gains in (start, found))
+    before = episodes.run(factory(dict(start)))
+    after = before if found == start else episodes.run(factory(dict(found)))
     gains, result = (found, after) if after.cost_m < before.cost_m else (dict(start), before)
     expert = episodes.run(make_policy(EXPERT, vehicle=vehicle))
     return {

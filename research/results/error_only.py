@@ -6,14 +6,13 @@ gained nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.terminal import run_and_show
-from baselines.evaluation.score import capped, error_cap, relative_error
+from baselines.evaluation.score import RIVAL, relative_error
 from baselines.evaluation.suites import load_suite
 from baselines.tools.command_line import DONE
 from baselines.tools.workers import DEFAULT_JOBS, Workers
@@ -40,14 +39,17 @@ def context() -> dict[str, Any]:
 
     Each is a ratio with its interval as text: of the errors in all cells, of those in storms, of the command rates.
     """
-    results, own = results_of(SUITE), {cell: agents[0] for cell, agents in trained(SUITE)[NAME].measures.items()}
+    results, own = results_of(SUITE), trained(SUITE)[NAME]
+    errors = {p: results.errors(p, RANGE) for p in (RIVAL, MAIN_AGENT)}
+    errors[NAME] = {cell: seeds[0] for cell, seeds in own.capped.items()}
+    rates = {p: float(np.mean([results.cases[c][p].smoothness for c in own.capped])) for p in (RIVAL, MAIN_AGENT)}
+    rates[NAME] = own.smoothness
 
-    def ratios(rival: Mapping[str, Measures], mine: Mapping[str, Measures]) -> tuple[str, str, str]:
-        pairs = {cell: [capped(m[cell], error_cap(cell)) for m in (rival, mine)] for cell in own}
-        rates = [np.mean(np.concatenate([m[cell].smoothness for cell in own])) for m in (rival, mine)]
-        errors = (relative_error(*zip(*(pairs[cell] for cell in cells), strict=True)) for cells in (own, [STORM]))
-        every, storm = map(with_interval, errors)
-        return every, storm, f"{rates[1] / rates[0]:.2g}"
+    def ratios(rival: str, mine: str) -> tuple[str, str, str]:
+        every, storm = (
+            with_interval(relative_error(*([errors[policy][cell] for cell in cells] for policy in (rival, mine))))
+            for cells in (own.capped, [STORM])
+        )
+        return every, storm, f"{rates[mine] / rates[rival]:.2g}"
 
-    nmpc, agent = ({cell: results.cases[cell][policy] for cell in own} for policy in ("nmpc", MAIN_AGENT))
-    return {"to_priced": ratios(nmpc, own), "agent_to": ratios(own, agent)}
+    return {"to_priced": ratios(RIVAL, NAME), "agent_to": ratios(NAME, MAIN_AGENT)}

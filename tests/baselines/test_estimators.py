@@ -1,6 +1,6 @@
 """The filter against true disturbances, faults and statistics; the plan in the water frame against the planner."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 from auv_gym.codegen.matrices import symmetric
 from auv_gym.effects.actuators import LONGEST_DELAY, Actuators
 from auv_gym.effects.current import RandomCurrent
+from auv_gym.effects.sensors import NOISES
 from auv_gym.effects.waves import RandomWaves, Waves
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_body
@@ -15,7 +16,8 @@ from auv_gym.physics.namespaces import ARRAYS, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Circle, FigureEight, Sine
 from auv_gym.planning.planner import plan
-from auv_gym.scenarios.mixtures import adverse, at_typical_noise
+from auv_gym.planning.reserves import ThroughWater
+from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from auv_gym.task.observation import Observation
@@ -39,6 +41,12 @@ from baselines.evaluation.cells import drawn
 from baselines.evaluation.rollout import rollout
 from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
+
+
+def at_typical_noise(scenario):
+    """Return the scenario with the typical level of each noise that it has."""
+    typical, own = TYPICAL_NOISE[scenario.name.partition("-")[0]], scenario.sensors
+    return replace(scenario, sensors=replace(own, **{n: getattr(typical, n) for n in NOISES if getattr(own, n)}))
 
 
 def every_preset(count):
@@ -157,33 +165,12 @@ def in_water(memory, motion, sea, dt):
     return plan_in_water(memory, motion, sea, dt, PAPER_VEHICLE.coefficients, ARRAYS)
 
 
-@dataclass(frozen=True)
-class Drifting:
-    """A path relative to water that moves with a constant velocity."""
-
-    path: Circle | Sine | FigureEight
-    V: tuple[float, float]
-
-    @property
-    def speed(self):
-        return self.path.speed
-
-    start, end = -np.inf, np.inf
-
-    def derivatives(self, t):
-        derivatives = self.path.derivatives(t).copy()
-        for axis in (0, 1):
-            derivatives[0, axis] -= self.V[axis] * t
-            derivatives[1, axis] -= self.V[axis]
-        return derivatives
-
-
 @pytest.mark.parametrize("path", [Circle(1.0, 0.1), Sine(0.8, 2.0, 0.15), FigureEight(20.0, 0.06)])
 def test_water_plan_is_the_planners(path):
     """Step by step from the terms of the observation, up to the error of the formulas of second order."""
     V, dt = (0.2, -0.1), 0.1
     times = dt * np.arange(400)
-    ground, water = plan(path, PAPER_VEHICLE, times), plan(Drifting(path, V), PAPER_VEHICLE, times)
+    ground, water = plan(path, PAPER_VEHICLE, times), plan(ThroughWater(path, V), PAPER_VEHICLE, times)
     memory, rows = AT_FIRST, []
     for k in range(len(times)):
         values = dict.fromkeys(Observation._fields, np.zeros(1))
