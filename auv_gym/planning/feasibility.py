@@ -23,11 +23,12 @@ class InfeasibleReferenceError(ValueError):
     Attributes:
         condition: the violated condition, in words and numbers.
         time: the first time at which it is violated [s].
-        place: the position at that time, (x, y) [m].
+        place: the position at that time, (x, y) or (x, y, z) [m].
     """
 
-    def __init__(self, condition: str, time: float, place: tuple[float, float]) -> None:
-        super().__init__(f"infeasible at t = {time:.6g} s, (x, y) = ({place[0]:.6g}, {place[1]:.6g}) m: {condition}")
+    def __init__(self, condition: str, time: float, place: tuple[float, ...]) -> None:
+        names, numbers = ", ".join("xyz"[: len(place)]), ", ".join(f"{x:.6g}" for x in place)
+        super().__init__(f"infeasible at t = {time:.6g} s, ({names}) = ({numbers}) m: {condition}")
         self.condition, self.time, self.place = condition, time, place
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -38,8 +39,7 @@ def check_feasible(valid: NDArray[np.bool_], condition: Callable[[int], str], ti
     """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,), is False."""
     if not valid.all():
         k = int(np.argmin(valid))
-        x, y = (float(row[k]) for row in positions)
-        raise InfeasibleReferenceError(condition(k), float(times[k]), (x, y))
+        raise InfeasibleReferenceError(condition(k), float(times[k]), tuple(float(row[k]) for row in positions))
 
 
 def moving(v_p: Number) -> Number:
@@ -73,12 +73,20 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
 
     The limit is that of linear drag and lift. A vehicle with cross terms has no such limit: its sideslip is checked.
     """
+    check_moving(v_p, gradual(np.diff(beta, prepend=beta[:1]), ARRAYS), times, positions)
+    if not vehicle.has_cross_terms:
+        check_braking(v_p, v_p_dot, vehicle, times, positions)
+
+
+def check_moving(v_p: Array, is_gradual: NDArray[np.bool_], times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where the speed passes through zero or the direction is not `gradual`."""
     check_feasible(moving(v_p), lambda k: f"the path stops, v_p = {v_p[k]:.3g} m/s", times, positions)
-    turns = np.diff(beta, prepend=beta[:1])
     sharp = "the path turns by more than 90 degrees within one sample: it reverses, or its points are noisy"
-    check_feasible(gradual(turns, ARRAYS), lambda _: sharp, times, positions)
-    if vehicle.has_cross_terms:
-        return
+    check_feasible(is_gradual, lambda _: sharp, times, positions)
+
+
+def check_braking(v_p: Array, v_p_dot: Array, vehicle: Vehicle, times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where the deceleration exceeds the limit of linear drag and lift."""
     rate, limit = braking(v_p, v_p_dot, vehicle)
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
 
@@ -97,13 +105,18 @@ def check_sideslip(w: Array, times: Array, positions: Array) -> None:
 
 def check_forces(F_u: Array, F_r: Array, u: Array, limits: Sequence[float], times: Array, positions: Array) -> None:
     """Raise InfeasibleReferenceError where the open-loop forces exceed their limits, see `torque_limit`."""
-    torque = np.broadcast_to(torque_limit(u, limits, ARRAYS), u.shape)
-    for name, unit, force, most in (("F_u", "N", F_u, np.full_like(u, limits[0])), ("F_r", "N m", F_r, torque)):
+    check_force("F_u", "N", F_u, np.full_like(u, limits[0]), times, positions)
+    check_force("F_r", "N m", F_r, torque_limit(u, limits, ARRAYS), times, positions)
 
-        def condition(k: int, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
-            return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
 
-        check_feasible(np.abs(force) <= most, condition, times, positions)
+def check_force(name: str, unit: str, force: Array, limit: Array, times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where a force exceeds its limit, which may be one number."""
+    most = np.broadcast_to(limit, force.shape)
+
+    def condition(k: int) -> str:
+        return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
+
+    check_feasible(np.abs(force) <= most, condition, times, positions)
 
 
 def check_bounds(table: Array, most: Sequence[float]) -> None:

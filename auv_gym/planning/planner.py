@@ -88,7 +88,7 @@ def plan(
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
-    return Planner(vehicle, _checked_times(times, path), force_limits, fin).plan(path)
+    return Planner(vehicle, checked_grid(times, path), force_limits, fin).plan(path)
 
 
 class Planner:
@@ -333,7 +333,8 @@ def _derivatives(path: Path, times: Array) -> Array:
     return np.ascontiguousarray(derivatives.reshape(8, -1))
 
 
-def _checked_times(times: Array, path: Path) -> Array:
+def checked_grid(times: Array, path: Any) -> Array:
+    """Return the times of a plan as an array; raise ValueError unless they are even steps in the domain of a path."""
     times = np.asarray(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
         raise ValueError(f"times must be a vector of two or more finite numbers, got {times!r}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path as FilePath
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import NoiseLevels
 from auv_gym.physics.intervals import check_number
+from auv_gym.physics.space import Limits, Pitch, SpaceVehicle
 from auv_gym.physics.steering import Shaft
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
@@ -44,6 +45,7 @@ class VehicleModel:
     slowest: float = 0.0  # [m/s] least speed for steering by fins
     shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
     sensors: NoiseLevels | None = None  # of its instruments, in place of those of scenarios; None: scaled ones
+    pitch: Pitch = field(default=Pitch(), compare=False)  # the vertical plane; not in records of planar scenarios
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "assumed"):
@@ -64,6 +66,18 @@ class VehicleModel:
         return v.d11 + v.X_uu * speed, v.d22 + v.Y_uv * speed, v.d33 + v.N_ur * speed
 
     @property
+    def in_space(self) -> SpaceVehicle:
+        """The vehicle with five degrees of freedom."""
+        return self.pitch.vehicle(self.vehicle)
+
+    @property
+    def space_limits(self) -> Limits:
+        """The limits of its actuators in space; the fins of pitch are those of yaw unless `pitch` says otherwise."""
+        a, p = self.actuators, self.pitch
+        F_q_max, fin = a.F_r_max if p.F_q_max is None else p.F_q_max, a.fin if p.fin is None else p.fin
+        return Limits(a.F_u_max, F_q_max, a.F_r_max, fin, a.fin)
+
+    @property
     def in_paper_units(self) -> VehicleModel:
         """The vehicle model in units in which mass, length and design speed are those of the paper."""
         units = Units.of(self.vehicle)
@@ -78,6 +92,7 @@ class VehicleModel:
             slowest=self.slowest / units.factor(length=1, time=-1),
             shaft=None,
             sensors=scaled_part("sensors", self.sensors, Units(1 / units.length, 1 / units.time, 1 / units.mass)),
+            pitch=self.pitch.over(units),
         )
 
     @classmethod
@@ -90,7 +105,7 @@ class VehicleModel:
         """
         record = read_table(FilePath(file))
         with guarded(str(file)):
-            model = from_record(cls, record, "vehicle file")
+            model = from_record(cls, record, "vehicle file", _SPECIAL)
             for table, name in (("vehicle", "speed"), ("actuators", "F_u_max"), ("actuators", "F_r_max")):
                 if name not in record[table]:
                     raise ValueError(
@@ -107,6 +122,12 @@ class VehicleModel:
             return model
 
 
+def _pitch(record: Any) -> Pitch:
+    return record if isinstance(record, Pitch) else from_record(Pitch, record, "pitch")
+
+
+_SPECIAL = {"pitch": _pitch}
+"""Conversion of the entry that records of scenarios do not have."""
 VehicleLike = Vehicle | VehicleModel | str | os.PathLike[str] | Mapping[str, Any]
 """A vehicle, its model, the dict of one of them, its file, or the name of a vehicle."""
 PAPER_TURN_RATE = 0.12
@@ -123,6 +144,7 @@ PAPER = VehicleModel(
     actuators=Actuators(F_u_max=400.0, F_r_max=200.0),
     turn_rate=PAPER_TURN_RATE,
     lag=PAPER_LAG,
+    pitch=Pitch(stiffness=36.0),  # [N m] assumed: a weight of 185 kg that acts 0.02 m below the buoyancy
 )
 """The vehicle of the presets."""
 
@@ -157,7 +179,7 @@ def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
     if isinstance(vehicle, VehicleModel):
         return vehicle
     if isinstance(vehicle, Mapping) and "vehicle" in vehicle:
-        return from_record(VehicleModel, vehicle, "vehicle")
+        return from_record(VehicleModel, vehicle, "vehicle", _SPECIAL)
     if isinstance(vehicle, str) and vehicle in vehicle_names():
         return vehicle_model(vehicle)
     return None if (file := table_file(vehicle)) is None else VehicleModel.load(file)
