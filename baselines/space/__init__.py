@@ -1,0 +1,1 @@
+"""Controllers in space, each made of its form in the plane."""

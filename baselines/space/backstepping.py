@@ -1,0 +1,91 @@
+"""Tracking law of the paper in space: the law of the plane, `baselines.control.backstepping`, for both planes.
+
+It is not a law of the paper, which treats the plane. Each plane has its errors, its gains and its torque as there. The
+loads that the planes put on each other, restoring moment included, are cancelled as (21) and (22) cancel the others.
+Only local stability is known, see docs/theory.md.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from auv_gym.physics.space import Errors, SpaceVehicle, coupling
+from baselines.control import backstepping
+from baselines.control.backstepping import Gains
+from baselines.policy import squared_speed
+
+
+class Wanted(NamedTuple):
+    """What the law needs of a reference: pitch, velocities and open-loop forces."""
+
+    theta: Number  # [rad]
+    u: Number  # [m/s]
+    v: Number  # [m/s]
+    w: Number  # [m/s]
+    q: Number  # [rad/s]
+    r: Number  # [rad/s]
+    F_u: Number  # [N]
+    F_q: Number  # [N m]
+    F_r: Number  # [N m]
+
+
+def bounded_error(errors: Sequence[Number], reference: Wanted, horizon: float, ns: Namespace = FLOATS) -> Errors:
+    """Return the errors with the position error e replaced by e / sqrt(1 + |e|^2 / (horizon U)^2).
+
+    See `backstepping.bounded_error`; U is the reference speed and `horizon` a time [s].
+    """
+    o = Errors(*errors)
+    distance = o.e_x * o.e_x + o.e_y * o.e_y + o.e_z * o.e_z
+    shrink = 1 / ns.sqrt(1 + distance / (horizon * horizon * _squared(reference, ns)))
+    return o._replace(e_x=shrink * o.e_x, e_y=shrink * o.e_y, e_z=shrink * o.e_z)
+
+
+def _squared(reference: Wanted, ns: Namespace) -> Number:
+    """Return the squared reference speed, which is not 0."""
+    return squared_speed(reference.u, reference.v, ns) + reference.w * reference.w
+
+
+def tracking_forces(
+    errors: Sequence[Number],
+    theta: Number,
+    reference: Wanted,
+    vehicle: SpaceVehicle,
+    gains: Gains,
+    horizon: float | None = None,
+    ns: Namespace = FLOATS,
+) -> tuple[Number, Number, Number]:
+    """Return F_u [N], F_q [N m], F_r [N m] of the tracking law.
+
+    Args:
+        errors: `auv_gym.physics.space.Errors` in SI units.
+        theta: measured pitch [rad].
+        reference: see `Wanted`.
+        vehicle: nominal model of the law.
+        gains: those of the plane; the normalised form is scaled by the whole reference speed.
+        horizon: bound on the position error as a travel time [s], see `bounded_error`. None: no bound.
+        ns: the namespace of the numbers.
+    """
+    o, R = errors if horizon is None else bounded_error(errors, reference, horizon, ns), reference
+    e_x, e_y, e_z, theta_e, psi_e, u_e, v_e, w_e, q_e, r_e = o
+    level = e_x, e_y, psi_e, u_e, v_e, r_e, R.u, R.v, R.r, R.F_u, R.F_r
+    upright = e_x, e_z, -theta_e, u_e, w_e, -q_e, R.u, R.w, -R.q, R.F_u, -R.F_q
+    F_u, F_r = backstepping.tracking_forces(level, vehicle.horizontal, _shared(gains, R.v, R, ns), ns)
+    _, F_s = backstepping.tracking_forces(upright, vehicle.vertical, _shared(gains, R.w, R, ns), ns)
+    wanted = R.u, R.v, R.w, R.q, R.r
+    moving = [nu + nu_e for nu, nu_e in zip(wanted, o[5:], strict=True)]
+    now, then = (coupling(a, nu, vehicle.acting, ns) for a, nu in ((theta, moving), (R.theta, wanted)))
+    (X, _, N), (_, _, S) = ([a - b for a, b in zip(*loads, strict=True)] for loads in zip(now, then, strict=True))
+    return F_u - X, S - F_s, F_r - N
+
+
+def _shared(gains: Gains, side: Number, reference: Wanted, ns: Namespace) -> Gains:
+    """Return the gains for a plane with a sideways speed, whose normalisation knows its own two velocities alone."""
+    if gains.reference_speed is None:
+        return gains
+    share = ns.sqrt(squared_speed(reference.u, side, ns)) / ns.sqrt(_squared(reference, ns))
+    scaled = copy.copy(gains)
+    object.__setattr__(scaled, "reference_speed", gains.reference_speed * share)  # not checked: it may be a symbol
+    return scaled
