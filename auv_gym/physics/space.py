@@ -115,6 +115,20 @@ class SpaceVehicle:
             )
 
     @property
+    def reversal_speed(self) -> float:
+        """Speed [m/s] below which stern fins that lift the nose make the vehicle sink; 0 for a pure torque.
+
+        Fins that hold a pitch against the restoring and the Munk moment push the stern to the other side: by stiffness
+        over arm per angle, and by d32 + (m22 - m11 - N_uv) u over arm per heave velocity. Above this speed the lift of
+        the pitch is larger. The reversal of a submarine's stern planes has the same cause.
+        """
+        c = self.vertical
+        per_arm = c.eps * c.m22 / c.m33
+        side, drag = per_arm * self.stiffness, c.d22 + per_arm * c.d32
+        root = drag * drag + 4 * side * (c.Y_uv + per_arm * (c.m22 - c.m11 - c.N_uv))
+        return 2 * side / (drag + math.sqrt(root)) if root >= 0 else math.inf
+
+    @property
     def acting(self) -> tuple[Number, ...]:
         """The row of numbers that `state_rates` takes: both planes, stiffness, buoyancy, shape of the body.
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from auv_gym.planning.feasibility import (
     check_moving,
     torque_limit,
 )
+from auv_gym.planning.paths.space import SpacePath
 from auv_gym.planning.planner import MAX_SAMPLES, RUN_IN, checked_grid
 from auv_gym.planning.sideslip import MAX_SIDESLIP
 
@@ -38,29 +39,14 @@ _MAX_STEP = 0.05  # largest integration step, in time constants of the fastest t
 _SLOWEST = 10.0  # `Vehicle.time` that count as at most one time constant in the run-in
 _FASTEST = 20.0  # largest rate of a transient per `Vehicle.time` that the step follows; faster ones are not feasible
 _STAGE_ITERATIONS = 3  # of Newton's method in a stage, which starts at the turn rates of the stage before it
-_ITERATIONS = 6  # of Newton's method where a guess is less near
-_FIRST_ITERATIONS = 20  # steps of `_ITERATIONS`
+_LAST_ITERATIONS = 6  # of Newton's method at the times of the plan
+_ITERATIONS = 20  # of Newton's method for the steady angles
 _TOLERANCE = 1e-9  # largest residual of the balance [m/s^2], as a share of the accelerations of the vehicle
 _NEGLIGIBLE = 1e-13  # [m/s^2] residual that is always allowed
 _NO_LOAD = (0.0, 0.0, 0.0, 0.0, 0.0)
+_LEVEL = 1e-3  # largest slope of a path that counts as level
 _LARGEST_CHANGE = 0.1  # [rad] in one iteration for the steady angles: |v| v has hardly a slope at v = 0
 _PITCH_INERTIA = ROWS + 2  # index in `SpaceVehicle.acting`
-
-
-@runtime_checkable
-class SpacePath(Protocol):
-    """A position in space with three continuous time derivatives on a domain of times."""
-
-    @property
-    def start(self) -> float:
-        """First time of the domain [s]; -inf if it is unbounded."""
-
-    @property
-    def end(self) -> float:
-        """Last time of the domain [s]; inf if it is unbounded."""
-
-    def derivatives(self, t: Array) -> Array:
-        """Return position [m] and its first three time derivatives at times of shape (T,), an array (4, 3, T)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +71,8 @@ class SpaceReference:
     @cached_property
     def table(self) -> Array:
         """x, y, z, theta, psi, u, v, w, q, r, F_u, F_q, F_r, shape (T, 13)."""
-        return np.stack([value for name, value in vars(self).items() if name in _COLUMNS], axis=1)
-
-
-_COLUMNS = tuple(SpaceReference.__dataclass_fields__)[1:]
+        _, *columns = fields(self)
+        return np.stack([getattr(self, column.name) for column in columns], axis=1)
 
 
 def plan(path: SpacePath, vehicle: SpaceVehicle, times: Array, limits: Limits | None = None) -> SpaceReference:
@@ -103,13 +87,14 @@ def plan(path: SpacePath, vehicle: SpaceVehicle, times: Array, limits: Limits | 
     Raises:
         ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan needs
             more than `MAX_SAMPLES` samples, or `path.derivatives` returns an array of another shape.
-        InfeasibleReferenceError: the path stops or reverses, brakes faster than the drag of one plane allows, no turn
-            rates balance the lateral forces, the angle between axis and velocity exceeds `MAX_SIDESLIP`, the pitch
-            exceeds `MAX_PITCH`, the fins cannot hold the pitch, or the forces exceed their limits.
+        InfeasibleReferenceError: the path stops or reverses, brakes faster than the drag of one plane allows, or climbs
+            below the `reversal_speed` of the fins; no turn rates balance the lateral forces; the angle between axis and
+            velocity exceeds `MAX_SIDESLIP`, or the pitch `MAX_PITCH`; the fins cannot hold the pitch, or a force is
+            beyond its limit.
     """
     times = checked_grid(times, path)
     row, dt = np.array(vehicle.acting), float(times[-1] - times[0]) / (len(times) - 1)
-    fast, slow = _decay(_derivatives(path, times), row)
+    fast, slow = _rates(_steady(_derivatives(path, times), row)[1])
     substeps = math.ceil(dt * min(fast, _FASTEST / vehicle.horizontal.time) / _MAX_STEP)
     h = dt / substeps
     run_in = RUN_IN * min(1 / slow, _SLOWEST * vehicle.horizontal.time)
@@ -123,9 +108,9 @@ def plan(path: SpacePath, vehicle: SpaceVehicle, times: Array, limits: Limits | 
     samples: Array = times[0] + 0.5 * h * np.arange(-2 * lead, 2 * (steps - lead) + 1)
     samples[-1] = times[-1]  # exactly, since rounding could exceed the end of the path
     derivatives = _derivatives(path, samples)
+    inside = derivatives[..., 2 * lead :: 2]
     _check_path(derivatives, vehicle, samples)
     turning = _integrated(derivatives, row, h)[:, lead:]
-    inside = derivatives[..., 2 * lead :: 2]
     _check_angles(turning, inside, samples[2 * lead :: 2])
     instants = inside[..., ::substeps]
     results = _motion()(path=instants[1:].reshape(9, -1), turning=turning[:, ::substeps], vehicle=row)
@@ -148,7 +133,7 @@ def _derivatives(path: SpacePath, times: Array) -> Array:
 
 
 def _check_path(derivatives: Array, vehicle: SpaceVehicle, times: Array) -> None:
-    """Raise InfeasibleReferenceError where the path stops, reverses, or brakes too fast for one of the planes."""
+    """Raise InfeasibleReferenceError where the path stops, reverses, brakes too fast, or climbs too slowly."""
     position, V, A, _ = derivatives
     v_p = np.sqrt((V * V).sum(axis=0))
     is_gradual = np.concatenate(([True], (V[:, 1:] * V[:, :-1]).sum(axis=0) > 0))
@@ -156,6 +141,12 @@ def _check_path(derivatives: Array, vehicle: SpaceVehicle, times: Array) -> None
     for plane in (vehicle.horizontal, vehicle.vertical):
         if not plane.has_cross_terms:
             check_braking(v_p, (V * A).sum(axis=0) / v_p, plane, times, position)
+    slowest = vehicle.reversal_speed
+    reversed_fins = (
+        f"the path climbs or dives below {slowest:.3g} m/s, where the side force of the fins that hold a pitch exceeds "
+        "the lift of that pitch: at that speed only level paths can be planned"
+    )
+    check_feasible((v_p > slowest) | (np.abs(V[2]) < _LEVEL * v_p), lambda _: reversed_fins, times, position)
 
 
 def _check_angles(turning: Array, derivatives: Array, times: Array) -> None:
@@ -163,7 +154,7 @@ def _check_angles(turning: Array, derivatives: Array, times: Array) -> None:
     theta, psi, *_ = turning
     position, V, *_ = derivatives
     largest = f"{math.degrees(MAX_PITCH):.0f} degrees"
-    pitch = f"the pitch exceeds {largest}, where heading and pitch are no longer defined"
+    pitch = f"the pitch exceeds {largest}: the path is too steep, or hardly faster than the fins' reversal"
     check_feasible(np.abs(theta) < MAX_PITCH, lambda _: pitch, times, position)
     ahead = sum(a * b for a, b in zip(axes(theta, psi, ARRAYS)[0], V, strict=True))
     limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
@@ -205,27 +196,28 @@ def _along(velocity: Array) -> Array:
     return np.array((theta, np.arctan2(y, x), pitch, turn * np.cos(theta)))
 
 
-def _decay(derivatives: Array, row: Array) -> tuple[float, float]:
+def _steady(derivatives: Array, row: Array) -> tuple[Array, Array]:
+    """Return theta, psi, q, r at which the axis turns as the path does, shape (4, T), and how other angles decay.
+
+    The second array, shape (T, 2, 2), has the derivatives of theta' and psi' by theta and psi.
+    """
+    path, first = derivatives[1:3].reshape(6, -1), _along(derivatives[1:3])
+    results = _steady_iteration()(_ITERATIONS, path=path, turning=first, vehicle=row)
+    return results["turning"], results["slopes"].T.reshape(-1, 2, 2)
+
+
+def _rates(slopes: Array) -> tuple[float, float]:
     """Return the largest and the smallest rate [1/s] at which the influence of the first angles decays on a path."""
-    path = derivatives[1:].reshape(9, -1)
-    turning = _steady()(_FIRST_ITERATIONS, path=path, turning=_along(derivatives[1:3]), vehicle=row)["turning"]
-    results = _decays()(_FIRST_ITERATIONS, path=path, turning=turning, vehicle=row)
-    matrices = results["slopes"].T.reshape(-1, 2, 2)
-    rates = np.abs(np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).real)
+    rates = np.abs(np.linalg.eigvals(slopes[np.isfinite(slopes).all(axis=(1, 2))]).real)
     return float(rates.max(initial=1e-3)), float(rates.min(initial=1e3))
 
 
 def _integrated(derivatives: Array, row: Array, h: float) -> Array:
-    """Return theta, psi, q, r at every second sample, shape (4, n), from the steady angles on.
-
-    These are the angles at which the axis turns as the path does.
-    """
-    path, first = derivatives[1:].reshape(9, -1), _along(derivatives[1:3, :, :1])
-    first = _steady()(_FIRST_ITERATIONS, path=path[:, :1], turning=first, vehicle=row)["turning"]
-    times = np.concatenate((path[:6, :-2:2], path[:6, 1::2], path[:6, 2::2])).T
-    after = _step()(
-        len(times), turning=first, times=np.ascontiguousarray(times)[:, :, None], vehicle=row, step=np.array([h])
-    )["after"]
+    """Return theta, psi, q, r at every second sample, shape (4, n), from the steady angles on."""
+    path, (first, _) = derivatives[1:3].reshape(6, -1), _steady(derivatives[..., :1], row)
+    times = np.concatenate((path[:, :-2:2], path[:, 1::2], path[:, 2::2])).T
+    samples = np.ascontiguousarray(times)[:, :, None]
+    after = _step()(len(times), turning=first, times=samples, vehicle=row, step=np.array([h]))["after"]
     return np.concatenate((first, after[..., 0].T), axis=1)
 
 
@@ -286,41 +278,20 @@ def _turn_rates(
 
 
 @cache
-def _steady() -> Kernel:
-    """Return the kernel of Newton's method for the angles at given turn rates."""
+def _steady_iteration() -> Kernel:
+    """Return the kernel of an iteration of Newton's method for the angles at given turn rates, see `_steady`."""
 
     def equation(path: Any, turning: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
-        theta, psi, q, r = turning
-        found, _ = _newton(
-            lambda a, b: _missing(path, (a, b, q, r), vehicle)[0], (theta, psi), (q, r), 1, _LARGEST_CHANGE
+        *angles, q, r = turning
+        (theta, psi), by_angle = _newton(
+            lambda a, b: _missing(path, (a, b, q, r), vehicle)[0], angles, (q, r), 1, _LARGEST_CHANGE
         )
-        return {"turning": [*found, q, r]}
+        by_rate = _newton(lambda a, b: _missing(path, (theta, psi, a, b), vehicle)[0], (q, r), (theta, psi), 0)[1]
+        (q_t, r_t), (q_p, r_p) = (_solved(by_rate, [-x for x in by_angle[k::2]]) for k in (0, 1))
+        c, s = SYMBOLS.cos(theta), SYMBOLS.sin(theta)
+        return {"turning": [theta, psi, q, r], "slopes": [q_t, q_p, r_t / c + r * s / (c * c), r_p / c]}
 
-    return Kernel.traced(equation, {"path": 9, "turning": 4, "vehicle": SPACE_ROWS}, shared=["vehicle"])
-
-
-@cache
-def _decays() -> Kernel:
-    """Return the kernel of an iteration for the turn rates at given angles, and of the slopes of theta' and psi'."""
-
-    def equation(path: Any, turning: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
-        theta, psi, *_ = turning
-        (q, r), matrix = _turn_rates(path, turning, vehicle, 1)
-        missing = _missing(path, (theta, psi, q, r), vehicle)[0]
-        still = {q.index: 0.0, r.index: 0.0}
-        by_angle = [directional(missing, {**still, a.index: x, b.index: 0.0}) for a, b, x in _pairs(theta, psi)]
-        (q_t, r_t), (q_p, r_p) = (_solved(matrix, [-one for one in column]) for column in by_angle)
-        c = SYMBOLS.cos(theta)
-        return {
-            "turning": [theta, psi, q, r],
-            "slopes": [q_t, q_p, r_t / c + r * SYMBOLS.sin(theta) / (c * c), r_p / c],
-        }
-
-    return Kernel.traced(equation, {"path": 9, "turning": 4, "vehicle": SPACE_ROWS}, shared=["vehicle"])
-
-
-def _pairs(a: Symbol, b: Symbol) -> tuple[tuple[Symbol, Symbol, float], ...]:
-    return (a, b, 1.0), (b, a, 1.0)
+    return Kernel.traced(equation, {"path": 6, "turning": 4, "vehicle": SPACE_ROWS}, shared=["vehicle"])
 
 
 @cache
@@ -357,7 +328,7 @@ def _motion() -> Kernel:
 
     def equation(path: Any, turning: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:
         theta, psi, *_ = turning
-        (q, r), matrix = _turn_rates(path, turning, vehicle, _ITERATIONS)
+        (q, r), matrix = _turn_rates(path, turning, vehicle, _LAST_ITERATIONS)
         missing, moving, free = _missing(path, (theta, psi, q, r), vehicle)
         u, v, w, u_dot, v_dot, w_dot = moving
         by_time = dict(zip((x.index for x in path[:6]), path[3:9], strict=True))

@@ -144,6 +144,12 @@ REFUSED = {
         "F_u = .* N is beyond its limit of 20 N",
     ),
     "stop": (WithHeight(FigureEight(1e-4, 0.1), Wave(1e-4, 0.1)), "paper", None, "the path stops"),
+    "too slow": (
+        WithHeight(Line(0.4), Wave(1.0, 0.1)),
+        "eca-a9",
+        None,
+        r"the path climbs or dives below 0.45\d* m/s, where",
+    ),
     "braking": (WithHeight(Line(0.3), Wave(5.0, 0.4)), "paper", None, "braking|the pitch exceeds"),
     "sideslip": (
         WithHeight(Circle(0.5, 3.0), Climb(0.0)),
@@ -152,6 +158,17 @@ REFUSED = {
         "the angle between axis and velocity exceeds 80",
     ),
 }
+
+
+@pytest.mark.parametrize("name", ["lauv", "eca-a9", "nps-auv2", "remus100"])
+def test_the_pitch_of_a_slow_climb_grows_towards_the_speed_at_which_the_fins_reverse(name):
+    """Lift and side force of the fins balance: lift (climb + theta) = side theta, theta nose down."""
+    vehicle, c = VEHICLES[name], VEHICLES[name].vertical
+    for share in (1.2, 1.5, 3.0):
+        u, per_arm = share * vehicle.reversal_speed, c.eps * c.m22 / c.m33
+        R = plan(WithHeight(Line(u), Climb(1e-5 * u)), vehicle, TIMES[:21])
+        lift = (c.d22 + c.Y_uv * u) * u + per_arm * (c.d32 + (c.m22 - c.m11 - c.N_uv) * u) * u
+        assert R.theta[-1] == pytest.approx(-1e-5 / (1 - vehicle.stiffness * per_arm / lift), rel=1e-3)
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -9,13 +9,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import Path, validate
+
+
+@runtime_checkable
+class SpacePath(Protocol):
+    """A position in space with three continuous time derivatives on a domain of times."""
+
+    @property
+    def start(self) -> float:
+        """First time of the domain [s]; -inf if it is unbounded."""
+
+    @property
+    def end(self) -> float:
+        """Last time of the domain [s]; inf if it is unbounded."""
+
+    def derivatives(self, t: Array) -> Array:
+        """Return position [m] and its first three time derivatives at times of shape (T,), an array (4, 3, T)."""
 
 
 class Height(Protocol):
