@@ -111,6 +111,8 @@ def plan(path: SpacePath, vehicle: SpaceVehicle, times: Array, limits: Limits | 
     inside = derivatives[..., 2 * lead :: 2]
     _check_path(derivatives, vehicle, samples)
     turning = _integrated(derivatives, row, h)[:, lead:]
+    ahead = math.atan2(inside[1, 1, 0], inside[1, 0, 0])
+    turning[1] -= 2 * math.pi * np.round((turning[1, 0] - ahead) / (2 * math.pi))  # full turns of the run-in
     _check_angles(turning, inside, samples[2 * lead :: 2])
     instants = inside[..., ::substeps]
     results = _motion()(path=instants[1:].reshape(9, -1), turning=turning[:, ::substeps], vehicle=row)

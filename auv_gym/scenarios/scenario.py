@@ -28,7 +28,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, meant, read_table, to_record
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, model_from
 from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts
 
@@ -432,7 +432,7 @@ def _rounded(delay: Number) -> Any:
 
 
 def _model_from(record: Any) -> VehicleModel | None:
-    return None if record is None else from_record(VehicleModel, record, "model")
+    return None if record is None else model_from(record, "model")
 
 
 def effects_from(record: Any) -> tuple[Effect, ...]:

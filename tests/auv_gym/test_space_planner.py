@@ -79,7 +79,8 @@ def test_the_planned_forces_keep_the_remus_100_on_its_path_where_no_turn_rate_ch
 
 
 @pytest.mark.parametrize(
-    ("flat", "size"), [(Line(0.8, heading=0.3), 1e-12), (Circle(0.8, 0.05), 1e-12), (Sine(0.9, 3.0, 0.1), 1e-7)]
+    ("flat", "size"),
+    [(Line(0.8, heading=0.3), 1e-12), (Circle(0.8, 0.05, heading=-3.1), 1e-12), (Sine(0.9, 3.0, 0.1), 1e-7)],
 )
 @pytest.mark.parametrize("name", VEHICLES)
 def test_a_level_plan_is_that_of_the_plane(name, flat, size):

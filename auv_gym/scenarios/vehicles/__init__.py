@@ -105,7 +105,7 @@ class VehicleModel:
         """
         record = read_table(FilePath(file))
         with guarded(str(file)):
-            model = from_record(cls, record, "vehicle file", _SPECIAL)
+            model = model_from(record, "vehicle file")
             for table, name in (("vehicle", "speed"), ("actuators", "F_u_max"), ("actuators", "F_r_max")):
                 if name not in record[table]:
                     raise ValueError(
@@ -122,12 +122,12 @@ class VehicleModel:
             return model
 
 
-def _pitch(record: Any) -> Pitch:
-    return record if isinstance(record, Pitch) else from_record(Pitch, record, "pitch")
+def model_from(record: Any, where: str) -> VehicleModel:
+    """Return the vehicle model of a record, see `auv_gym.scenarios.records.from_record`."""
+    special = {"pitch": lambda part: part if isinstance(part, Pitch) else from_record(Pitch, part, "pitch")}
+    return from_record(VehicleModel, record, where, special)
 
 
-_SPECIAL = {"pitch": _pitch}
-"""Conversion of the entry that records of scenarios do not have."""
 VehicleLike = Vehicle | VehicleModel | str | os.PathLike[str] | Mapping[str, Any]
 """A vehicle, its model, the dict of one of them, its file, or the name of a vehicle."""
 PAPER_TURN_RATE = 0.12
@@ -179,7 +179,7 @@ def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
     if isinstance(vehicle, VehicleModel):
         return vehicle
     if isinstance(vehicle, Mapping) and "vehicle" in vehicle:
-        return from_record(VehicleModel, vehicle, "vehicle", _SPECIAL)
+        return model_from(vehicle, "vehicle")
     if isinstance(vehicle, str) and vehicle in vehicle_names():
         return vehicle_model(vehicle)
     return None if (file := table_file(vehicle)) is None else VehicleModel.load(file)
