@@ -25,10 +25,12 @@ demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record expert
 	  --size 720x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp
 	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the video, runs/demo/storm/video.webp'
 
-# Of the twenty storms of an evaluation, the one whose errors are the most usual.
-video: $(VENV)/demo.stamp ## record expert, EKF + MPC and agent in a usual storm as a video, for the README
+# Of the twenty storms of an evaluation, the one whose errors are the most usual; in the plane and in space.
+video: $(VENV)/demo.stamp ## record expert, EKF + MPC and agent in two usual storms as videos, for the README
 	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --seed 15 \
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
+	$(BIN)/python -m baselines video --policy backstepping nmpc helm-3d --scenario space-storm --seed 12 \
+	  --size 700x420 --speed 6 --fps 8 --out docs/images/space-storm.webp $(ARGS)
 
 PYTEST = $(BIN)/python -m pytest -n 2 --dist worksteal
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from auv_gym.scenarios.names import STEPS
+from auv_gym.scenarios.names import SPACE_STEPS, STEPS
 
 __version__ = "0.1.0"
 __all__ = [
@@ -21,7 +21,7 @@ _HOMES = {
     "PRESETS": "scenarios.presets",
     "Scenario": "scenarios.scenario",
     "Vehicle": "physics.vehicle",
-    "decode_observation": "task.observation",
+    "decode_observation": "task.decoding",
     "list_scenarios": "scenarios.presets",
     "list_vehicles": "scenarios.vehicles",
     "plan": "planning.planner",
@@ -43,20 +43,21 @@ def __dir__() -> list[str]:
 
 
 def _register() -> None:
-    """Register both tasks, each with an id for any scenario and an id for each preset."""
-    for task, entry_point, vector_entry_point in (
-        (
-            "UnderactuatedAUVTrack",
-            "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
-            "auv_gym.envs.track_vector_env:UnderactuatedAUVTrackVectorEnv",
-        ),
-        (
-            "UnderactuatedAUVTrackResidual",
-            "baselines.residual_envs:make_residual_env",
-            "baselines.residual_envs:make_residual_vector_env",
-        ),
+    """Register the tasks in the plane and in space, each with an id for any scenario and an id for each preset."""
+    residual = "baselines.residual_envs:make_residual_env", "baselines.residual_envs:make_residual_vector_env"
+    space = "auv_gym.envs.space:UnderactuatedAUVTrack3DEnv", "auv_gym.envs.space:UnderactuatedAUVTrack3DVectorEnv"
+    plane = (
+        "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
+        "auv_gym.envs.track_vector_env:UnderactuatedAUVTrackVectorEnv",
+    )
+    for task, (entry_point, vector_entry_point), presets, default in (
+        ("UnderactuatedAUVTrack", plane, STEPS, ""),
+        ("UnderactuatedAUVTrackResidual", residual, STEPS, ""),
+        ("UnderactuatedAUVTrack3D", space, SPACE_STEPS, "-space-calm"),
+        ("UnderactuatedAUVTrackResidual3D", residual, SPACE_STEPS, "-space-calm"),
     ):
-        for name in ("", *(f"-{preset}" for preset in STEPS)):
+        for name in ("", *(f"-{preset}" for preset in presets)):
+            scenario = (name or default)[1:]
             if f"{task}{name}-v0" not in gym.registry:
                 # The environment checks actions and the order of calls, and truncates, so it needs no wrappers.
                 gym.register(
@@ -64,7 +65,7 @@ def _register() -> None:
                     entry_point,
                     order_enforce=False,
                     disable_env_checker=True,
-                    kwargs={"scenario": name[1:]} if name else {},
+                    kwargs={"scenario": scenario} if scenario else {},
                     vector_entry_point=vector_entry_point,
                 )
 

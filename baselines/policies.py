@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
@@ -15,15 +16,16 @@ from baselines.agents.loading import load_policy
 from baselines.agents.names import GUARD, PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.scaling import scaled_for
+from baselines.space import SPACE_POLICIES, make_in_space
 
 
-def list_policies() -> dict[str, str]:
-    """Return a one-line description of each policy, by its name."""
-    agents = dict.fromkeys(shipped_agents(), "a trained agent, described in its agent.json")
-    return {name: entry.about for name, entry in POLICIES.items()} | agents
+def list_policies(space: bool | None = False) -> dict[str, str]:
+    """Return a one-line description of each policy by its name: of those in the plane, in `space`, or of all (None)."""
+    agents = dict.fromkeys(shipped_agents(space), "a trained agent, described in its agent.json")
+    return {name: entry.about for name, entry in POLICIES.items() if not space or name in SPACE_POLICIES} | agents
 
 
-def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -> Policy:
+def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **options: Any) -> Policy:
     """Return a policy by name or path.
 
     These paths can run any code: FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, and "cmd:" with a command. These
@@ -35,7 +37,8 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
             folder of an agent, or cmd:COMMAND.
         vehicle: the known vehicle; None: the paper's. A controller or agent is made for it in the paper's units, see
             `baselines.scaling`, so its gains depend on the vehicle. A privileged policy, or one from a file of code,
-            gets the vehicle in SI units, if its factory has a parameter `vehicle`.
+            gets the vehicle in SI units, if its factory has a parameter `vehicle`. A `SpaceVehicle` makes a policy in
+            space.
         options: options of the factory, in place of those of the registry. Numbers with units are for the vehicle in
             the paper's units.
 
@@ -44,6 +47,14 @@ def make_policy(name: str, vehicle: VehicleLike | None = None, **options: Any) -
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
     parts = PolicyName.of(name)
+    if isinstance(vehicle, SpaceVehicle):
+        if parts.fallback is not None:
+            raise ValueError(f"policy {name!r}: there is no guard in space; leave out {GUARD}")
+        if parts.kind != "controller":
+            return load_policy(parts, vehicle, **options)
+        if name in POLICIES and POLICIES[name].privileged:
+            return make_in_space(name, vehicle, **options)
+        return scaled_for(vehicle, lambda known: make_in_space(name, known, **options))
     if (fallback := parts.fallback) is not None:
 
         def guarded(known: Any) -> Policy:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import SCALES, SIZE, Observation, action_of, decode_observation, decoded_terms
+from auv_gym.task.observation import PLANE_LAYOUT, Layout, Observation
 from auv_gym.task.policy import last_commands, measured, preview_of, usable
 from auv_gym.task.preview import columns_behind
 
@@ -26,8 +26,6 @@ Starts: TypeAlias = NDArray[np.bool_] | None
 
 U_R = Observation._fields.index("u_R")  # index of u_R in a list of terms, which is faster to make than `Observation`
 V_R = Observation._fields.index("v_R")  # index of v_R in a list of terms
-A_U = Observation._fields.index("a_u")
-"""Column of an observation with the last surge command; the yaw command is in the next column."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 ALL_SPEEDS = (0.0, math.inf)
@@ -57,12 +55,16 @@ def first_order(dt: Number, time: Number) -> Any:
 
 
 class Controller(Protocol):
-    """A control law with memory, for N vehicles at once."""
+    """A control law with memory, for N vehicles at once.
+
+    Its attribute `layout`, if there is one, is that of the observations in space, and it returns a force for each
+    channel.
+    """
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
 
-    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+    def forces(self, o: Any, memory: Memory, extra: Array) -> tuple[Any, ...]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory for the next control instant.
 
         Args:
@@ -97,6 +99,7 @@ class Batched(ABC):
         repeated: number of repeated commands since the policy was made.
     """
 
+    layout: Layout = PLANE_LAYOUT  # of the observations
     preview: tuple[int, ...] = ()
     speeds: tuple[float, float] = ALL_SPEEDS
     remembers = False
@@ -130,18 +133,19 @@ class Batched(ABC):
                 vehicles.
         """
         rows = observation[None] if observation.ndim == 1 else observation
-        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
-            decoded_terms(observation)  # one of these two raises the ValueError
-            columns_behind(rows, self.preview)
+        layout = self.layout
+        if rows.ndim != 2 or rows.shape[1] < layout.size + layout.axes * len(self.preview):
+            layout.terms_of(observation)  # one of these two raises the ValueError
+            columns_behind(rows, self.preview, layout)
         if state and isinstance(state[-1], _NotStarted):
             episode_start = state[-1] if episode_start is None else state[-1] | episode_start
             state = state[:-1]
-        if not measured(rows):
+        if not measured(rows, layout):
             action, memory = self._actions_by_row(rows, state, episode_start, deterministic)
             return (action[0] if observation.ndim == 1 else action), memory
         if state is None:
             if self.remembers:
-                warn_of_dropped_memory(rows, episode_start)
+                warn_of_dropped_memory(rows, episode_start, layout)
             if self.speeds != ALL_SPEEDS:
                 self._warn_of_speed(rows)
         action, memory = self.actions(rows, state, episode_start, deterministic)
@@ -159,8 +163,8 @@ class Batched(ABC):
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return actions and memory of a batch in which a measurement, an action or a memory is not usable."""
         n, begins = len(rows), state is None or (False if episode_start is None else episode_start)
-        starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows)
-        action, done, memory = last_commands(rows), np.zeros(n, dtype=bool), state
+        starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows, self.layout)
+        action, done, memory = last_commands(rows, self.layout), np.zeros(n, dtype=bool), state
         if good.any():
             # A usable row replaces the others, since the size of the batch may change last digits.
             whole = np.where(good[:, None], rows, rows[good.argmax()])
@@ -186,7 +190,8 @@ class Batched(ABC):
 
     def _warn_of_speed(self, rows: NDArray[Any]) -> None:
         """Warn once if the speed of a reference is outside of `speeds`."""
-        speed, (low, high) = np.hypot(rows[:, U_R] * SCALES[U_R], rows[:, V_R] * SCALES[V_R]), self.speeds
+        columns, scales = self.layout.velocity, self.layout.scales
+        speed, (low, high) = np.sqrt(sum((rows[:, k] * scales[k]) ** 2 for k in columns)), self.speeds
         if ((speed < low) | (speed > high)).any():
             self.speeds = ALL_SPEEDS
             warnings.warn(
@@ -226,6 +231,7 @@ class Remembering(Batched):
         """Wrap a controller; `controller` is the controller, `preview` its preview."""
         self.controller = controller
         self.preview = preview_of(controller)
+        self.layout = getattr(controller, "layout", PLANE_LAYOUT)
 
     def sound(self, action: NDArray[Any], memory: Memory | None) -> bool:
         """Return whether action and memory are finite: an estimate in the memory need not affect the action."""
@@ -236,9 +242,12 @@ class Remembering(Batched):
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return actions and memory, see `Batched`."""
         del deterministic
-        o, state = decode_observation(rows), renewed(state, self.controller.start(len(rows)), episode_start)
-        F_u, F_r, state = self.controller.forces(o, state, rows[:, SIZE:])
-        return np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1).astype(np.float32), state
+        layout = self.layout
+        o = layout.named(layout.terms_of(rows))
+        *forces, after = self.controller.forces(
+            o, renewed(state, self.controller.start(len(rows)), episode_start), rows[:, layout.size :]
+        )
+        return np.stack(layout.action_of(forces, o, ARRAYS), axis=1).astype(np.float32), after
 
 
 class BySpeed:
@@ -290,7 +299,9 @@ def renewed(state: Memory | None, initial: Memory, episode_start: NDArray[np.boo
     return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, initial, strict=True))
 
 
-def warn_of_dropped_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | None) -> None:
+def warn_of_dropped_memory(
+    rows: NDArray[Any], episode_start: NDArray[np.bool_] | None, layout: Layout = PLANE_LAYOUT
+) -> None:
     """Warn if a policy with memory is called without it in the middle of an episode.
 
     At the beginning of an episode the last action in the observation is zero; later it usually is not.
@@ -298,8 +309,9 @@ def warn_of_dropped_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] 
     Args:
         rows: observations, shape (N, n).
         episode_start: shape (N,), True where an episode begins; None: not known.
+        layout: of the observations.
     """
-    acted = rows[:, A_U : A_U + 2].any(axis=1)
+    acted = rows[:, layout.last].any(axis=1)
     if episode_start is not None:
         acted &= ~np.broadcast_to(episode_start, len(rows))
     if acted.any():

@@ -10,8 +10,10 @@ from gymnasium.vector import VectorEnv
 
 from auv_gym.envs.arguments import ScenarioLike, scenarios_of
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
+from auv_gym.envs.space import UnderactuatedAUVTrack3DEnv, UnderactuatedAUVTrack3DVectorEnv
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.rendering import PICTURE
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy, preview_of
@@ -47,9 +49,8 @@ def make_residual_env(
     """
     (scenario,) = scenarios_of(scenario, 1, vehicle, control_dt)
     policy = _expert(expert, scenario.known)
-    env = UnderactuatedAUVTrackEnv(
-        scenario, render_mode=render_mode, preview=preview_of(policy), render_size=render_size
-    )
+    make = UnderactuatedAUVTrack3DEnv if scenario.vertical else UnderactuatedAUVTrackEnv
+    env = make(scenario, render_mode=render_mode, preview=preview_of(policy), render_size=render_size)
     return ResidualAction(env, policy, authority)
 
 
@@ -86,7 +87,8 @@ def make_residual_vector_env(
     scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
     first = scenarios[0].known
     policy = _expert(expert, first if all(one.known == first for one in scenarios) else None)
-    env = UnderactuatedAUVTrackVectorEnv(num_envs, scenarios, preview=preview_of(policy), **options)
+    make = UnderactuatedAUVTrack3DVectorEnv if scenarios[0].vertical else UnderactuatedAUVTrackVectorEnv
+    env = make(num_envs, scenarios, preview=preview_of(policy), **options)
     return VectorResidualAction(env, policy, authority)
 
 
@@ -113,7 +115,7 @@ def make_residual_policy(
     return CorrectedPolicy(_expert(expert, vehicle), network, authority)
 
 
-def _expert(expert: Policy | str, vehicle: VehicleLike | None) -> Policy:
+def _expert(expert: Policy | str, vehicle: VehicleLike | SpaceVehicle | None) -> Policy:
     """Return the expert of an environment.
 
     Raises:

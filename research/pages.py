@@ -29,7 +29,7 @@ PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 120
 """Most characters in a line of prose."""
-SUITE_PAGES = ("benchmark-v3", "hard-v1", *(name for name, seal in seals().items() if seal.secret))
+SUITE_PAGES = ("benchmark-v3", "hard-v1", "space-v1", *(name for name, seal in seals().items() if seal.secret))
 """Suites with a page of the same kind; a sealed one gets it when it is opened."""
 PAGES = {
     "results": "research.results.overview",

@@ -5,7 +5,7 @@ import re
 import shutil
 import sys
 import types
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,8 @@ import pytest
 from auv_gym.effects import EFFECTS
 from auv_gym.physics.vehicle import VEHICLES
 from auv_gym.planning.paths import PATHS
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, list_scenarios
+from auv_gym.scenarios.vertical import Vertical
 from baselines import POLICIES, list_policies
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
@@ -142,10 +143,18 @@ def test_pages_name_every_policy_and_scenario():
     policies, scenarios = (
         (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("policies.md", "scenarios.md")
     )
-    for name in list_policies():
+    for name in list_policies(None):
         assert f"`{name}`" in policies
-    for name in PRESETS:
+    for name in list_scenarios():
         assert f"| `{name}` |" in scenarios or f"| `{name.split('-', 1)[1]}` |" in scenarios
+
+
+def test_the_table_of_the_vertical_part_equals_its_class():
+    page = (ROOT / "docs" / "environments" / "space.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| .+ \| (.+) \|$", page, re.MULTILINE))
+    source = (ROOT / "auv_gym" / "scenarios" / "vertical.py").read_text(encoding="utf-8")
+    assert rows == dict(re.findall(r"^    (\w+): .*?  # (.+)$", source, re.MULTILINE))
+    assert [*rows] == [field.name for field in fields(Vertical)]
 
 
 def compared(page, width, tmp_path, capsys, monkeypatch):

@@ -11,12 +11,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from auv_gym import decode_observation
 from auv_gym.effects.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Circle
 from auv_gym.planning.planner import plan
 from auv_gym.scenarios.scenario import Scenario, Start
-from auv_gym.task.observation import decode_observation
 from baselines import make_policy
 from baselines.export.c_header import c_header
 from baselines.export.parts import exported

@@ -43,6 +43,21 @@ def congruence(A: Matrix, P: Matrix) -> list[list[Any]]:
     return symmetric(entries)
 
 
+def solution(A: Matrix, B: Matrix) -> list[list[Any]]:
+    """Return X of A X = B for a positive definite A, by elimination, which needs no pivots then."""
+    n = len(A)
+    rows = [[*a, *b] for a, b in zip(A, B, strict=True)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [x - factor * y if j > k else 0.0 for j, (x, y) in enumerate(zip(rows[i], rows[k], strict=True))]
+    X: list[list[Any]] = [[] for _ in rows]
+    for k in reversed(range(n)):
+        known = [dot(rows[k][k + 1 : n], column) for column in zip(*X[k + 1 :], strict=True)] or [0.0] * len(B[k])
+        X[k] = [(x - y) / rows[k][k] for x, y in zip(rows[k][n:], known, strict=True)]
+    return X
+
+
 def symmetric(triangle: Sequence[Any]) -> list[list[Any]]:
     """Return the symmetric matrix of a lower triangle, given row by row."""
     rows: list[Sequence[Any]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -131,7 +131,7 @@ class Reach(Effect):
     """An actuator saturates at a smaller command: `Actuators.reach`."""
 
     what = "actuators that saturate early"
-    entry, drawn, numbers = ("actuators.reach", 1), ("reach", (1.0, 1.0)), "episode.reach"
+    entry, numbers = ("actuators.reach", 1), "episode.reach"
 
     repeated = ("Constants",)
 
@@ -139,6 +139,11 @@ class Reach(Effect):
         """Its number for a channel in an episode."""
 
         level: Number = 1.0  # command at which the actuator saturates
+
+    @classmethod
+    def there(cls, episode: Any) -> bool:
+        """Return whether an actuator of the episode saturates early."""
+        return any(level != 1.0 for level in episode.reach)
 
     @staticmethod
     def command(command: Force, at: At) -> tuple[Number, ...]:
@@ -175,10 +180,10 @@ class Fins(Effect):
     @staticmethod
     def thrust(thrust: Force, at: At) -> tuple[Number, ...]:
         """Return force and torque at action 1 for the speed through water."""
-        share = fin_share(at.state[3], at.own.fin, at.limits[1], at.ns)
-        return thrust[0], thrust[1] * share, *thrust[2:]
+        share = fin_share(at.true("u"), at.own.fin, at.limits[1], at.ns)
+        return thrust[0], thrust[1] * share
 
     @staticmethod
     def limits(limits: Force, at: At) -> tuple[Number, ...]:
         """Return the limits for the measured speed over ground."""
-        return limits[0], known_torque(at.state[3], at.own.fin, limits[1], at.ns), *limits[2:]
+        return limits[0], known_torque(at.true("u"), at.own.fin, limits[1], at.ns)

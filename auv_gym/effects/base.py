@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
-from auv_gym.physics.dynamics import Force, State
+from auv_gym.physics.dynamics import Force
 from auv_gym.physics.intervals import Uniform, check_interval, draw
 from auv_gym.physics.namespaces import FLOATS, Array, Namespace, Number
 from auv_gym.physics.units import POWERS, Units
@@ -44,6 +44,7 @@ POINTS: Mapping[str, str] = {
 """The points of a control step in their order, with the value that a method at the point takes and returns."""
 _WITHOUT_MEMORY = frozenset(("share", "thrust", "vehicle", "current"))
 _UNITS = ", ".join(POWERS)
+_PLANE = ("x", "y", "psi", "u", "v", "r")  # states in the plane
 
 
 class Nothing(NamedTuple):
@@ -55,30 +56,39 @@ class At(NamedTuple):
 
     own: Any  # `Effect.Constants` of the episode
     inputs: Any  # `Effect.Inputs` at this control instant
-    state: State  # true x, y, psi, u, v, r; velocities relative to the water
-    before: State  # the true state one control period earlier; the present one before the vehicle has moved
+    state: Any  # true x, y, psi, u, v, r, or those of `names` in space; velocities relative to the water
+    before: Any  # the true state one control period earlier; the present one before the vehicle has moved
     action: Force  # of this control step, in [-1, 1]
     last_action: Force  # of the previous one
     last: Any  # `Measured` at the previous control instant, those that the effect remembers
-    noise: State  # errors of the measurements
+    noise: Any  # errors of the measurements
     vehicle: Any  # coefficients of the true vehicle, `vehicle.Coefficients`
     limits: Force  # [N], [N m] that action 1 commands, nominally
     dt: Number  # [s] control period
     begins: bool  # whether an episode begins, so nothing is remembered
     channels: tuple[str, ...]  # names of the actuators, in the order of actions and limits
+    names: tuple[str, ...]  # of the states, in the order of `state`, `before` and `noise`
     ns: Namespace
     squared_error: Number = 0.0  # [m^2] squared distance to the reference after the step, at `reward` and `failed`
 
+    def true(self, name: str) -> Any:
+        """Return a true state by its name, such as "u"."""
+        return self.state[self.names.index(name)]
+
 
 class Measured(NamedTuple):
-    """The six measurements."""
+    """The measurements by the names of the states, in the plane and in space; None for those that are not kept."""
 
-    x: Any  # [m]
-    y: Any  # [m]
-    psi: Any  # [rad]
-    u: Any  # [m/s] over ground
-    v: Any  # [m/s]
-    r: Any  # [rad/s]
+    x: Any = None  # [m]
+    y: Any = None  # [m]
+    z: Any = None  # [m]
+    theta: Any = None  # [rad]
+    psi: Any = None  # [rad]
+    u: Any = None  # [m/s] over ground
+    v: Any = None  # [m/s]
+    w: Any = None  # [m/s]
+    q: Any = None  # [rad/s]
+    r: Any = None  # [rad/s]
 
 
 class Effect:
@@ -267,13 +277,14 @@ def _check_points(cls: Any) -> None:
     sizes = {"load": 3, "vehicle": len(PAPER_VEHICLE.coefficients), "noise": 6, "measured": 6, "errors": 6}
     for point in (name for name in POINTS if hasattr(cls, name)):
         for _ in range(4):
-            state, earlier, last = (tuple(rng.normal(size=6).tolist()) for _ in range(3))
+            state, earlier, last = (tuple(rng.normal(size=len(_PLANE)).tolist()) for _ in range(3))
             two = [tuple(rng.uniform(-1.0, 1.0, 2).tolist()) for _ in range(3)]
             known = neutral(cls.Inputs)[: len(cls.Inputs._fields) - cls.normals]
             inputs = cls.Inputs(*known, *rng.normal(size=cls.normals).tolist())
             at = At(
-                neutral_constants(cls, 2), inputs, state, earlier, two[0], two[1], Measured(*last), (0.0,) * 6,
-                PAPER_VEHICLE.coefficients, (400.0, 200.0), 0.1, False, ("u", "r"), FLOATS,
+                neutral_constants(cls, 2), inputs, state, earlier, two[0], two[1],
+                Measured(**dict(zip(_PLANE, last, strict=True))), (0.0,) * 6, PAPER_VEHICLE.coefficients,
+                (400.0, 200.0), 0.1, False, ("u", "r"), _PLANE, FLOATS,
             )  # fmt: skip
             value = scalar.get(point, tuple(rng.uniform(-1.0, 1.0, sizes.get(point, 2)).tolist()))
             where = f"{cls.__name__}.{point}"
@@ -354,8 +365,8 @@ def neutral_constants(cls: type[Effect], channels: int) -> Any:
 
 
 @cache
-def places_of(effects: tuple[type[Effect], ...], channels: int) -> Places:
-    """Return the places of the rows of effects, for a number of channels."""
+def places_of(effects: tuple[type[Effect], ...], states: tuple[str, ...], channels: int) -> Places:
+    """Return the places of the rows of effects, for the names of the states and the number of channels."""
     sizes = [0, 0, 0]
 
     def following(kind: int, count: int) -> slice:
@@ -365,7 +376,7 @@ def places_of(effects: tuple[type[Effect], ...], channels: int) -> Places:
     constants = {e: following(0, len(_repeated(e, "Constants", e.Constants._fields, channels))) for e in effects}
     memory = {e: following(1, len(_repeated(e, "Memory", e.Memory._fields, channels))) for e in effects}
     inputs = {e: following(2, len(e.Inputs._fields)) for e in effects}
-    names = [name for name in Measured._fields if any(name in e.remembers for e in effects)]
+    names = [name for name in states if any(name in e.remembers for e in effects)]
     last = {name: following(1, 1).start for name in names}
     idle = [x for e in effects for x in neutral(e.Inputs)]
     return Places(constants, memory, inputs, last, np.array(idle, dtype=np.float64), (sizes[0], sizes[1], sizes[2]))

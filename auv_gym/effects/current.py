@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ class Current:
     cap: float = math.inf  # largest speed of mean plus gust, as a fraction of the path's slowest speed
     turn: float = 0.0  # [rad/s] rate of turn of the mean
     shear: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # see `Shear.Constants`
+    V_z: float = 0.0  # [m/s] upward, in space
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,8 @@ class Shear(Effect):
         return any(episode.current.shear[:2])
 
     @staticmethod
-    def current(current: CurrentVelocity, at: At) -> CurrentVelocity:
+    def current(current: Sequence[Number], at: At) -> tuple[Number, ...]:
         """Return the current with the shear at the position."""
         x, y, *_ = at.state
         shear_x, shear_y = at.own.velocity(x, y, at.ns)
-        return current[0] + shear_x, current[1] + shear_y
+        return current[0] + shear_x, current[1] + shear_y, *current[2:]

@@ -150,16 +150,20 @@ class Faults(Effect):
         return (x + at.inputs.jump_x, y + at.inputs.jump_y, *rest), memory
 
     @staticmethod
-    def measured(measured: State, memory: tuple[Memory, ...], at: At) -> tuple[State, tuple[Memory, ...]]:
+    def measured(measured: State, memory: tuple[Memory, ...], at: At) -> tuple[Any, tuple[Memory, ...]]:
         """Return the measurements; frozen ones keep the value of the previous control instant."""
         ns, code = at.ns, at.inputs.code
         frozen, missing = _is(code, "all frozen"), _is(code, "velocity missing")
         heading, velocity, yaw_rate = (
             frozen | _is(code, f"{name} frozen") for name in ("heading", "velocity", "yaw rate")
         )
-        held = frozen, frozen, heading, velocity, velocity, yaw_rate
-        x, y, psi, u, v, r = (ns.where(*sides) for sides in zip(held, at.last, measured, strict=True))
-        return (x, y, psi, ns.where(missing, 0.0 * u, u), ns.where(missing, 0.0 * v, v), r), memory
+        held = {"psi": heading, "u": velocity, "v": velocity, "w": velocity, "r": yaw_rate}
+        seen = {
+            name: ns.where(held.get(name, frozen), getattr(at.last, name), now)
+            for name, now in zip(at.names, measured, strict=True)
+        }
+        lost = {name: ns.where(missing, 0.0 * seen[name], seen[name]) for name in ("u", "v", "w") if name in seen}
+        return tuple((seen | lost).values()), memory
 
 
 class OffsetFaults(Effect):
@@ -189,7 +193,7 @@ class OffsetFaults(Effect):
         return _during(_OFFSET, fault_rows(episode.faults, scenario.control_dt, len(table)))
 
     @staticmethod
-    def noise(noise: State, at: At) -> State:
+    def noise(noise: State, at: At) -> tuple[Number, ...]:
         """Return the errors of the measurements with the offset of the velocity."""
-        x, y, psi, u, v, r = noise
-        return x, y, psi, u + at.inputs.u, v + at.inputs.v, r
+        errors = dict(zip(at.names, noise, strict=True))
+        return tuple((errors | {"u": errors["u"] + at.inputs.u, "v": errors["v"] + at.inputs.v}).values())

@@ -82,6 +82,16 @@ class RandomMismatch:
             row = [x.item() if x.ndim == 0 else x for x in np.array(self.vehicles).T[:, index]]
         return Vehicle.unchecked(self._true(row, [draw(interval, uniform) for interval in self._intervals]))
 
+    def like(self, nominal: Vehicle, true: Vehicle, other: Vehicle) -> Vehicle:
+        """Return another plane of a vehicle with the factors that have led from a nominal to a true plane."""
+        names = ("m11", "m22", "m33", "d11", "d22", "d33")
+        mass, sway, inertia, *drags = (getattr(true, name) / getattr(nominal, name) for name in names)
+        q = (true.X_uu - nominal.X_uu * drags[0]) / self.quadratic_drag[0] if self.quadratic_drag[0] else 0.0
+        found = Vehicle.unchecked(self._true(other.all_coefficients, [mass, sway / mass, inertia, *drags, q]))
+        shared = ("m11", "d11", "X_uu", "eps", "speed")  # without a residue of rounding
+        found.__dict__.update({name: getattr(true, name) for name in shared})
+        return found
+
     def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles of the distribution, as rows: least m33 with all other extremes.
 

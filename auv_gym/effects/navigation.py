@@ -141,10 +141,11 @@ class Outages(_Fixes):
         return fixes(episode.outages, scenario.control_dt, len(table))[None]
 
     @staticmethod
-    def position(position: Position, at: At) -> Position:
-        """Return the position of the last fix."""
+    def position(position: Sequence[Number], at: At) -> tuple[Number, ...]:
+        """Return the position of the last fix; a depth is measured without fixes."""
         there, ns = at.inputs.fix > 0.5, at.ns
-        return ns.where(there, position[0], at.last.x), ns.where(there, position[1], at.last.y)
+        x, y = ns.where(there, position[0], at.last.x), ns.where(there, position[1], at.last.y)
+        return x, y, *position[2:]
 
 
 class DeadReckoning(_Fixes):

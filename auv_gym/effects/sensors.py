@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from auv_gym.effects.base import At, Effect, Measured
+from auv_gym.effects.base import At, Effect
 from auv_gym.effects.navigation import FixFilter, RandomReckoning
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.intervals import (
@@ -159,7 +159,15 @@ class LowPass(Effect):
 
         gain: Number = 1.0  # weight of a new measurement
 
-    Memory = Measured  # the filtered errors
+    class Memory(NamedTuple):
+        """The filtered errors."""
+
+        x: Number  # [m]
+        y: Number  # [m]
+        psi: Number  # [rad]
+        u: Number  # [m/s]
+        v: Number  # [m/s]
+        r: Number  # [rad/s]
 
     @classmethod
     def constants(cls, scenario: Any, _: Any) -> tuple[Number, ...]:
@@ -167,10 +175,10 @@ class LowPass(Effect):
         return (scenario.sensors.filter_gain(scenario.control_dt),)
 
     @staticmethod
-    def errors(errors: State, memory: Measured, at: At) -> tuple[State, Measured]:
+    def errors(errors: State, memory: Memory, at: At) -> tuple[State, Memory]:
         """Return the filtered errors."""
         filtered = low_pass(memory, errors, 1.0 if at.begins else at.own.gain, at.ns)
-        return filtered, Measured(*filtered)
+        return filtered, LowPass.Memory(*filtered)
 
 
 class CorrelatedNoise(Effect):

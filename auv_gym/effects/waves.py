@@ -18,7 +18,25 @@ class Waves:
     sway: float  # [N]
     yaw: float  # [N m]
     frequencies: tuple[float, ...]  # [rad/s]
-    phases: tuple[tuple[float, ...], ...]  # [rad], shape (3, number of frequencies)
+    phases: tuple[tuple[float, ...], ...]  # [rad], shape (axes, number of frequencies)
+
+    @property
+    def forces(self) -> tuple[float, ...]:
+        """The root mean square of each axis."""
+        return self.surge, self.sway, self.yaw
+
+
+@dataclass(frozen=True)
+class SpaceWaves(Waves):
+    """Wave forces in space at the surface; they decay with depth."""
+
+    heave: float  # [N] root mean square
+    pitch: float  # [N m]
+
+    @property
+    def forces(self) -> tuple[float, ...]:
+        """The root mean square of each axis."""
+        return self.surge, self.sway, self.heave, self.pitch, self.yaw
 
 
 @dataclass(frozen=True)

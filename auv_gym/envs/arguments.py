@@ -18,6 +18,7 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleLike
+from auv_gym.task.model import Model
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
 """A scenario, its dict, its file, or the name of a preset."""
@@ -28,17 +29,19 @@ def scenarios_of(
     num_envs: int,
     vehicle: VehicleLike | None = None,
     control_dt: float | None = None,
+    kind: Model | None = None,
 ) -> list[Scenario]:
     """Return the scenario of each of N sub-environments; for the arguments see `UnderactuatedAUVTrackVectorEnv`.
 
     Raises:
-        ValueError: a wrong number of sub-environments or scenarios, different numbers of substeps, or a wrong scenario.
+        ValueError: a wrong number of sub-environments or scenarios, different numbers of substeps, a wrong scenario, or
+            one of another kind of motion than `kind`.
     """
     if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
         raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
     if isinstance(scenario, (Scenario, str, Mapping)) or not isinstance(scenario, Iterable):
-        return [changed(as_scenario(scenario), vehicle, control_dt)] * num_envs
-    scenarios = [changed(as_scenario(s), vehicle, control_dt) for s in scenario]
+        return [_changed(scenario, vehicle, control_dt, kind)] * num_envs
+    scenarios = [_changed(s, vehicle, control_dt, kind) for s in scenario]
     if len(scenarios) != num_envs:
         raise ValueError(
             f"{len(scenarios)} scenarios are given for {num_envs} sub-environments; give one, or one for each"
@@ -46,6 +49,18 @@ def scenarios_of(
     if (fewest := min(s.substeps for s in scenarios)) < (most := max(s.substeps for s in scenarios)):
         raise ValueError(f"scenarios have {fewest} to {most} substeps; give each replace(scenario, substeps={most})")
     return scenarios
+
+
+def _changed(
+    scenario: ScenarioLike, vehicle: VehicleLike | None, control_dt: float | None, kind: Model | None
+) -> Scenario:
+    found = changed(as_scenario(scenario), vehicle, control_dt)
+    if kind is not None and found.parts.model != kind:
+        name, needed = (
+            ("space", "UnderactuatedAUVTrack3D-v0") if found.vertical else ("the plane", "UnderactuatedAUVTrack-v0")
+        )
+        raise ValueError(f"scenario {found.name!r} is one in {name}; make the environment {needed}")
+    return found
 
 
 def completed(spec: EnvSpec, steps: int) -> EnvSpec:
@@ -112,13 +127,14 @@ def seeded(
     ]
 
 
-def checked_reset(options: Any, n: int, started: bool) -> tuple[Indices, list[dict[str, Any]] | None]:
+def checked_reset(options: Any, n: int, started: bool, size: int = 3) -> tuple[Indices, list[dict[str, Any]] | None]:
     """Return the indices of the sub-environments to reset, and the options of each of N; None without any.
 
     Args:
         options: of `reset`; values for all sub-environments, or N entries.
         n: N.
         started: whether all sub-environments have been reset before.
+        size: of vectors, see `checked_options`.
 
     Raises:
         ValueError: an option is unknown, wrong or of another length, or the first reset is not of all.
@@ -133,12 +149,12 @@ def checked_reset(options: Any, n: int, started: bool) -> tuple[Indices, list[di
         indices = mask.nonzero()[0]
     if not rest:
         return indices, None
-    checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # checks the names only
+    checked_options(dict.fromkeys(set(rest) - {"episode"}, (0,) * size), size)  # checks the names only
     choices: list[dict[str, Any]] = [{} for _ in range(n)]
     for key, value in rest.items():
         shared = key != "episode" and np.ndim(value) == 1
         if not shared and (np.ndim(value) == 0 or len(value) != n):
             raise ValueError(f"reset option {key} is {value!r}; it must have {n} entries, one for each sub-environment")
         for i, choice in enumerate(choices):
-            choice.update(checked_options({key: value if shared else value[i]}))
+            choice.update(checked_options({key: value if shared else value[i]}, size))
     return indices, choices

@@ -14,8 +14,11 @@ from auv_gym.effects.actuators import fin_share
 from auv_gym.envs.spaces import checked_action, checked_actions
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.physics.space import Limits, axes
+from auv_gym.physics.steering import thrust
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle_model
+from auv_gym.task.space import sum_of
 
 _LEAST = 1e-6
 """Least share of the fins' torque that is divided by; below, fins give none."""
@@ -24,6 +27,7 @@ _LEAST = 1e-6
 class ShaftAction(gym.ActionWrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]):
     """An environment of this package whose action is (revolutions, rudder angle), as shares of their largest values.
 
+    In space it is (revolutions, angle of the planes, rudder angle); a positive angle of the planes turns the nose down.
     Propeller and rudder turn them into a force and a moment at the velocities through water at the start of the control
     period, see `auv_gym.physics.steering`. Limits, lag and delay of the scenario's actuators act on these, and the
     observation still has the force and the moment as its last action.
@@ -43,7 +47,8 @@ class ShaftAction(gym.ActionWrapper[NDArray[np.float64], NDArray[np.float32], ND
     def action(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the action of the wrapped environment for revolutions and rudder angle."""
         env: Any = self.env.unwrapped
-        actions = self._shafts.action(np.array(checked_action(action))[None], env.state[None], env.current[None])
+        command = np.array(checked_action(action, self._shafts.channels))
+        actions = self._shafts.action(command[None], env.state[None], env.current[None])
         first: NDArray[np.float32] = actions[0]
         return first
 
@@ -56,9 +61,10 @@ class VectorShaftAction(VectorActionWrapper):
         self._shafts = _Shafts(vehicle, env.unwrapped.scenarios)  # type: ignore[attr-defined]
 
     def actions(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the actions of the wrapped environment for revolutions and rudder angles, shape (N, 2)."""
+        """Return the actions of the wrapped environment for revolutions and angles, shape (N, channels)."""
         env: Any = self.env.unwrapped
-        return self._shafts.action(checked_actions(actions, self.num_envs), env.state, env.current)
+        commands = checked_actions(actions, self.num_envs, self._shafts.channels)
+        return self._shafts.action(commands, env.state, env.current)
 
 
 class _Shafts:
@@ -73,16 +79,40 @@ class _Shafts:
                 f"the environment has another vehicle than {model.name!r}; make it with vehicle={model.name!r}"
             )
         self._shaft, self._eps = model.shaft, model.vehicle.eps
-        limits = [(s.actuators.F_u_max, s.actuators.F_r_max, s.actuators.fin) for s in scenarios]
-        self._F_u_max, self._F_r_max, self._fin = np.array(limits).T
+        self._pitch = model.pitch if scenarios[0].vertical else None
+        limits = [model.pitch.limits(s.actuators.F_u_max, s.actuators.F_r_max, s.actuators.fin) for s in scenarios]
+        self._limits = Limits(*np.array(limits).T)
+
+    @property
+    def channels(self) -> int:
+        """Number of commands: revolutions and rudder, in space also the planes."""
+        return 2 if self._pitch is None else 3
 
     def action(self, commands: NDArray[Any], states: Array, currents: Array) -> NDArray[np.float32]:
-        """Return the actions (N, 2) for commands (N, 2) at states over ground (N, 6) in currents (N, 2)."""
-        (_, _, psi, u, v, r), (V_x, V_y) = states.T, currents.T
-        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        """Return the actions (N, channels) for commands of this shape at states over ground in currents, a row each."""
+        n, *planes, rudder = commands.T
+        limits, shaft = self._limits, self._shaft
+        if self._pitch is None:
+            (_, _, psi, u, v, r), (V_x, V_y) = states.T, currents.T
+            V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        else:
+            _, _, _, theta, psi, u, v, w, q, r = states.T
+            V_u, V_v, V_w = (
+                sum_of(a * b for a, b in zip(axis, currents.T, strict=True)) for axis in axes(theta, psi, ARRAYS)
+            )
         u, v = u - V_u, v - V_v - self._eps * r
-        F_u, F_r = self._shaft.forces((commands[:, 0], commands[:, 1]), u, v, r, ARRAYS)
-        torque = self._F_r_max * np.maximum(fin_share(u, self._fin, self._F_r_max, ARRAYS), _LEAST)
-        shares = np.stack((F_u / self._F_u_max, F_r / torque), axis=1)
+        F_u, F_r = shaft.forces((n, rudder), u, v, r, ARRAYS)
+        moments = [self._share(F_r, u, limits.fin_r, limits.F_r_max)]
+        if self._pitch is not None:  # the planes are a rudder of the vertical plane, whose turn rate is -q
+            X, S = shaft.forces((n, -planes[0]), u, w - V_w + self._eps * q, -q, ARRAYS)
+            F_u = F_u + X - thrust(np.clip(n, -1.0, 1.0) * shaft.n_max, u, shaft.stern)  # the thrust counts once
+            moments.insert(0, self._share(-S, u, limits.fin_q, limits.F_q_max))
+        shares = np.stack((F_u / limits.F_u_max, *moments), axis=1)
         actions: NDArray[np.float32] = np.clip(shares, -1.0, 1.0).astype(np.float32)
         return actions
+
+    @staticmethod
+    def _share(moment: Array, u: Array, fin: Any, most: Any) -> Array:
+        """Return a moment as a share of what full fins give."""
+        share: Array = moment / (most * np.maximum(fin_share(u, fin, most, ARRAYS), _LEAST))
+        return share

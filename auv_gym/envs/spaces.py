@@ -22,10 +22,11 @@ def checked_action(action: Any, channels: int = 2) -> list[float]:
         if all(map(math.isfinite, command)):
             return command
     shown = " ".join(repr(action).split())  # in one line
-    raise ValueError(f"action is {shown}; it must be {_finite(channels)} in [-1, 1], shape ({channels},)")
+    raise ValueError(f"action is {shown}; it must be {finite_numbers(channels)} in [-1, 1], shape ({channels},)")
 
 
-def _finite(channels: int) -> str:
+def finite_numbers(channels: int) -> str:
+    """Return the words for the numbers of an action, for messages."""
     return f"{({2: 'two', 3: 'three'}).get(channels, channels)} finite numbers"
 
 
@@ -46,7 +47,9 @@ def checked_actions(actions: Any, num_envs: int, channels: int = 2) -> NDArray[A
         valid = valid & ~np.ma.getmaskarray(actions)
     if not valid.all():
         i = int(np.argmin(valid.all(axis=1)))
-        raise ValueError(f"action of sub-environment {i} is {actions[i]}; it must be {_finite(channels)} in [-1, 1]")
+        raise ValueError(
+            f"action of sub-environment {i} is {actions[i]}; it must be {finite_numbers(channels)} in [-1, 1]"
+        )
     return array
 
 

@@ -13,7 +13,6 @@ from auv_gym.envs.arguments import checked_reset, checked_steps, seeded
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.physics.rows import spread
 from auv_gym.planning.paths import Path
-from auv_gym.planning.planner import Planner
 from auv_gym.scenarios.drawing import Drawing, drawn_as_rows
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import ExogenousInputs
@@ -34,7 +33,7 @@ class ReadyEpisodes(NamedTuple):
     places: Indices  # positions in the array of the sub-environments that need one, shape (n,)
     scenario: Scenario
     episodes: Episode  # n episodes as one whose numbers are rows (n,), or a single one
-    tables: Sequence[Array]  # reference tables, shape (steps + 1, 8)
+    tables: Sequence[Array]  # reference tables, shape (steps + 1, 8), in space (steps + 1, 13)
     noise_seeds: Sequence[int]
     constants: Array  # rows of their `simulation.Parameters`, shape (`Parts.parameter_rows`, n)
     paths: Sequence[Path]  # empty if there is no preview
@@ -93,8 +92,8 @@ class SubEnvironments:
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self.parts = parts or reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self._exogenous = ExogenousInputs(num_envs, block, self.parts)
-        self.preview = Preview(num_envs, preview, int(self._steps.max()))
-        self._fixed_tables: dict[tuple[int, Planner], Array] = {}  # by fixed path and planner
+        self.preview = Preview(num_envs, preview, int(self._steps.max()), len(self.parts.model.position))
+        self._fixed_tables: dict[tuple[int, Any], Array] = {}  # by fixed path and planner
         self.samples, self.row = np.zeros((block, self.parts.sample_rows, num_envs)), 0
         self._previous = self.samples[0]  # the last sample of the previous block
         self.constants = np.ones((self.parts.parameter_rows, num_envs))
@@ -141,7 +140,8 @@ class SubEnvironments:
         Raises:
             ValueError: wrong options or seeds, or an episode that cannot be planned; nothing has changed then.
         """
-        indices, choices = checked_reset(options, len(self.all), self.started)
+        pose = len(self.parts.model.state) // 2
+        indices, choices = checked_reset(options, len(self.all), self.started, pose)
         generators = seeded(self._generators, seed)
         planned = self.next_episodes(indices, generators, choices)
         for i in indices.tolist():
@@ -177,6 +177,13 @@ class SubEnvironments:
         try:
             for places in map(np.array, groups.values()):
                 scenario = self.scenarios[int(indices[places[0]])]
+                if scenario.vertical is not None and len(places) > 1:
+                    some, refused = self._batch(scenario, places, [generators[i] for i in indices[places].tolist()])
+                    planned += some
+                    for place in refused:
+                        generators[indices[place]].bit_generator.state = states[int(indices[place])]
+                    single += refused
+                    continue
                 if len(places) < FEWEST_ROWS or not drawn_as_rows(scenario):
                     single += places.tolist()
                     continue
@@ -215,6 +222,26 @@ class SubEnvironments:
         rows = ReadyEpisodes(places[members], scenario, episodes, [*feasible.values()], seeds, constants, paths)
         return [rows], np.delete(places, members).tolist()
 
+    def _batch(
+        self, scenario: Scenario, places: Indices, generators: Sequence[np.random.Generator]
+    ) -> tuple[list[ReadyEpisodes], list[int]]:
+        """Return episodes of a scenario in space, planned together, and the places of those that are infeasible."""
+        episodes = [scenario.draw(rng) for rng in generators]
+        tables = scenario.planner.tables([episode.path for episode in episodes])
+        ready, refused = [], []
+        for place, episode, table in zip(places.tolist(), episodes, tables, strict=True):
+            if table is None:
+                refused.append(place)
+            else:
+                ready.append(self._ready(scenario, place, episode, table))
+        return ready, refused
+
+    def _ready(self, scenario: Scenario, place: int, episode: Episode, table: Array) -> ReadyEpisodes:
+        """Return a planned episode."""
+        constants = spread(parameter_row(scenario.parameters(episode, self.parts)), 1)
+        places, seeds = np.array([place]), [episode.noise_seed]
+        return ReadyEpisodes(places, scenario, episode, [table], seeds, constants, [episode.path])
+
     def _single(
         self, scenario: Scenario, place: int, rng: np.random.Generator, options: Mapping[str, Any]
     ) -> ReadyEpisodes:
@@ -223,10 +250,7 @@ class SubEnvironments:
             table = self.table(scenario, episode.path)
         else:
             episode, table = scenario.drawn(rng, lambda drawn: self.table(scenario, drawn.path))
-        episode = with_options(episode, options)
-        constants = spread(parameter_row(scenario.parameters(episode, self.parts)), 1)
-        places, seeds = np.array([place]), [episode.noise_seed]
-        return ReadyEpisodes(places, scenario, episode, [table], seeds, constants, [episode.path])
+        return self._ready(scenario, place, with_options(episode, options), table)
 
     def begin(self, indices: Indices, ready: Sequence[ReadyEpisodes]) -> StartedEpisodes:
         """Start these episodes in n sub-environments and return their first states."""
@@ -244,7 +268,7 @@ class SubEnvironments:
             self.preview.load(members, paths, scenario.control_dt, tables)
             firsts: Any = tables[0][0].tolist() if len(tables) == 1 else np.array([table[0] for table in tables]).T
             states[:, places] = spread(episodes.initial_state(firsts), len(tables))
-            errors[places] = np.hypot(*episodes.initial_error[:2])
+            errors[places] = reduce(np.hypot, episodes.initial_error[: len(self.parts.model.position)])
         self.started = True
         self.k[indices], self._remaining = 0, 0
         if self.row < 0:
@@ -274,7 +298,8 @@ class SubEnvironments:
         """
         planner, many = scenario.planner, len(self.all) > 1
         if path is not scenario.path:
-            return planner.table(path, many=many)
+            table: Array = planner.table(path, many=many)
+            return table
         key = id(path), planner
         if key not in self._fixed_tables:
             self._fixed_tables[key] = planner.table(path, many=many)

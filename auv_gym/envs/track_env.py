@@ -12,20 +12,19 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from auv_gym.envs.arguments import ScenarioLike, checked_seed, completed
+from auv_gym.envs.arguments import ScenarioLike, checked_seed, completed, scenarios_of
 from auv_gym.envs.spaces import checked_action, with_action
 from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.planning.paths import Path
-from auv_gym.rendering import PICTURE, Renderer, View, checked_size
+from auv_gym.rendering import PICTURE, Plane, Renderer, View, checked_size, two_planes
 from auv_gym.scenarios.episode import checked_options
-from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.kernels import Vehicles
+from auv_gym.task.model import PLANE, Model
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds, with_preview
-from auv_gym.task.simulation import PLANT, current_at, ground_state
+from auv_gym.task.simulation import current_at, ground_state
 
 _TRAIL = 1000  # largest number of past positions in a picture
 _ARRAY, _REAL = np.ndarray, (np.dtype(np.float32), np.dtype(np.float64))  # of an action
@@ -110,6 +109,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - v0: initial version.
     """
 
+    kind: Model = PLANE
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own declaration is no ClassVar
         "render_modes": ["human", "rgb_array"],
         "render_fps": 10,
@@ -129,7 +129,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         Raises:
             ValueError: an argument is wrong, or the path cannot be planned.
         """
-        self.scenario = changed(as_scenario(scenario), vehicle, control_dt)
+        (self.scenario,) = scenarios_of(scenario, 1, vehicle, control_dt, self.kind)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
                 f"unknown render_mode {render_mode!r}; allowed are {self.metadata['render_modes']} and None"
@@ -142,18 +142,18 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._channels = range(*self._shape)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._shape, np.float32)
         self._sub_envs = SubEnvironments([self.scenario], preview)
-        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.bound_factor, self._model.layout)
+        bounds = observation_bounds(self._sub_envs.preview.periods, self.scenario.bound_factor, self._model)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
-        if isinstance(self.scenario.path, Path):
+        if isinstance(self.scenario.path, Path) and self.scenario.vertical is None:
             self._sub_envs.table(self.scenario, self.scenario.path)
         self._set_vehicle()
         self._spec: EnvSpec | None = None
         self._k, self._row, self._block = self._steps, 0, len(self._sub_envs.samples)  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
-        self._trail: Array = np.zeros((0, 2))  # [m] past positions, if pictures are drawn
-        self._path: Array = self._trail  # [m] positions of the reference
+        self._trail: Array = np.zeros((0, 2))  # past states, if pictures are drawn
+        self._path: Array = self._trail  # poses of the reference
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -171,7 +171,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         Raises:
             ValueError: wrong options or a wrong seed, or an episode that cannot be planned; nothing has changed then.
         """
-        checked, seed, sub_envs = checked_options(options), checked_seed(seed), self._sub_envs
+        checked = checked_options(options, len(self._model.state) // 2)
+        seed, sub_envs = checked_seed(seed), self._sub_envs
         rng, self_seed = (self.np_random, None) if seed is None else seeding.np_random(seed)
         ready = sub_envs.next_episodes(sub_envs.all, [rng], [checked])
         if self_seed is not None:
@@ -183,8 +184,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._info = {"position_error": errors.item(), "saturated": False, "time": 0.0}
         if self.render_mode is not None:
             table = ready[0].tables[0]
-            self._path, self._trail = table[:, :2], np.empty((self._steps + 1, 2))
-            self._record_position()
+            size = len(self._model.state)
+            self._path, self._trail = table[:, : size // 2], np.empty((self._steps + 1, size))
+            self._record_state()
         observation = self._observed()
         if self._law is not None:
             self._law.check(self._model.layout.terms_of(observation))
@@ -222,9 +224,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         rows = self._observation[:, None]
         return with_preview(rows, preview.ahead((0,), self._k), self.scenario.bound_factor, self._model)[:, 0]
 
-    def _record_position(self) -> None:
-        """Append the position to the trail, and draw it in a window."""
-        self._trail[self._k] = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0]
+    def _record_state(self) -> None:
+        """Append the state to the trail, and draw it in a window."""
+        self._trail[self._k] = self.state
         if self.render_mode == "human":
             self.render()
 
@@ -267,7 +269,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": k * self._dt}
         if self.render_mode is not None:
-            self._record_position()
+            self._record_state()
         return self._observed(), reward, terminated, truncated, self._info
 
     @property
@@ -306,21 +308,26 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             raise ResetNeeded("nothing to draw yet: call reset() before render()")
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], self._size)
-        act = self.scenario.actuators
-        view = View(
+        first = max(0, self._k + 1 - _TRAIL)
+        shown = self._trail[first : self._k + 1], self._path, self.current[None]
+        planes = (Plane(*shown),) if self.scenario.vertical is None else two_planes(*shown, first)
+        return self._renderer.draw(*map(self._view, planes))
+
+    def _view(self, plane: Plane) -> View:
+        """Return what is seen in a plane."""
+        return View(
             time=self.time,
-            state=tuple(self.state.tolist()),
-            reference=self.reference[:3],
-            path=self._path,
+            state=tuple(plane.states[-1].tolist()),
+            reference=tuple(plane.path[self._k].tolist()),
+            path=plane.path[:, :2],
             travelled=self._k,
-            trail=self._trail[max(0, self._k + 1 - _TRAIL) : self._k + 1],
-            current=tuple(self.current.tolist()),
+            trail=plane.states[:, :2],
+            current=tuple(plane.vectors[-1].tolist()),
             force=tuple(self.force.tolist()),
-            force_limits=(act.F_u_max, act.F_r_max),
+            force_limits=self._model.limits(self._truth()[2]),
             position_error=self._info["position_error"],
             title=self.scenario.name,
         )
-        return self._renderer.draw(view)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes except the renderer and the views."""

@@ -20,9 +20,10 @@ from auv_gym.envs.sub_environments import StartedEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.kernels import MakeSimulator, Simulator, Vehicles
+from auv_gym.task.model import PLANE, Model
 from auv_gym.task.policy import Law
 from auv_gym.task.preview import observation_bounds
-from auv_gym.task.simulation import PLANT, current_at, ground_state
+from auv_gym.task.simulation import current_at, ground_state
 
 Mask = NDArray[np.bool_]
 
@@ -57,6 +58,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         ValueError: an argument is unknown or wrong, or a path cannot be planned.
     """
 
+    kind: Model = PLANE
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as in VectorEnv
 
     def __init__(
@@ -80,13 +82,13 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
             allowed = ", ".join(repr(mode.value) for mode in AutoresetMode)
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; allowed are {allowed}, or an AutoresetMode")
         (self.autoreset_mode,) = meant
-        self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
+        self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt, self.kind)
         self._sub_envs = SubEnvironments(self.scenarios, preview, max_episode_steps)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.render_mode = None
         parts = self._sub_envs.parts
-        bounds = observation_bounds(self._sub_envs.preview.periods, parts.bound_factor, parts.model.layout)
+        bounds = observation_bounds(self._sub_envs.preview.periods, parts.bound_factor, parts.model)
         self._model = self._sub_envs.parts.model
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (len(self._model.channels),), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
@@ -231,8 +233,9 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
 
     @property
     def pose(self) -> Array:
-        """x, y [m], psi [rad], as in `state` in less time; shape (N, 3)."""
-        return self._running.now.plant[[PLANT.x, PLANT.y, PLANT.psi]].T
+        """x, y [m], psi [rad], in space also z [m], as in `state` in less time; shape (N, 3) or (N, 4)."""
+        names = [name for name in ("x", "y", "psi", "z") if name in self._model.state]
+        return self._running.now.plant[[self._model.state.index(name) for name in names]].T
 
     @property
     def reference(self) -> Any:

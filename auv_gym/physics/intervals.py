@@ -53,6 +53,11 @@ def by_library(function: Callable[[float], float]) -> Callable[[Number], Number]
     return apply
 
 
+def times(interval: Interval, factor: float) -> Interval:
+    """Return the value, or both ends of the interval, times a factor."""
+    return (interval[0] * factor, interval[1] * factor) if isinstance(interval, tuple) else interval * factor
+
+
 def mean_square(interval: Interval) -> float:
     """Return the mean square of the drawn number."""
     low, high = interval if isinstance(interval, tuple) else (interval, interval)

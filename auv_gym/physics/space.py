@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 from auv_gym.physics import dynamics
@@ -20,7 +20,7 @@ from auv_gym.physics.dynamics import from_outside
 from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
-from auv_gym.physics.units import DIMENSIONS, POWERS, Units
+from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
 from auv_gym.physics.vehicle import LARGEST_PARAMETER, PARAMETER_NAMES, Coefficients, CrossTerms, Vehicle
 
 
@@ -83,6 +83,26 @@ _ONE_PLANE = ("m11", "d11", "X_uu", "eps", "speed")  # parameters that both plan
 _TINY = 1e-280  # [m^2/s^2], [rad^2/s^2] below which a root has no slope; it changes no speed above 1e-132
 
 
+class SpaceCoefficients(NamedTuple):
+    """What the equations of motion need of a vehicle: floats, or rows of shape (N,). Surge drag is in `level` alone."""
+
+    level: Coefficients  # of the horizontal plane
+    upright: Coefficients  # of the vertical plane
+    stiffness: Number  # [N m] see `SpaceVehicle`
+    buoyancy: Number  # [N]
+    of_revolution: Number  # 1 or 0
+
+    @property
+    def without_lift(self) -> tuple[Number, ...]:
+        """The row that `state_rates` takes for a vehicle without lift; it takes less time than `row`."""
+        return *self.level.without_lift, *self.upright.without_lift, *self[2:]
+
+    def row(self, cross_terms: Sequence[Number] = ()) -> tuple[Number, ...]:
+        """Return the row that `state_rates` takes, with the cross terms of both planes if there are some."""
+        half = len(cross_terms) // 2
+        return *self.level, *cross_terms[:half], *self.upright, *cross_terms[half:], *self[2:]
+
+
 @dataclass(frozen=True)
 class SpaceVehicle:
     """A vehicle in space: its two planes and its buoyancy.
@@ -114,6 +134,20 @@ class SpaceVehicle:
                 "the planes of a body of revolution are equal: set of_revolution = false, or one plane only"
             )
 
+    def over(self, units: Units) -> SpaceVehicle:
+        """Return the vehicle in the paper's units, for the units of its horizontal plane."""
+        level = in_paper_units(self.horizontal)
+        similar = {
+            name: getattr(self.vertical, name) / units.factor(*POWERS[unit])
+            for name, unit in DIMENSIONS.items()
+            if name not in _ONE_PLANE
+        }
+        upright = level if self.has_equal_planes else replace(level, **similar)
+        stiffness, buoyancy = (
+            x / units.factor(*POWERS[unit]) for x, unit in ((self.stiffness, "N m"), (self.buoyancy, "N"))
+        )
+        return replace(self, horizontal=level, vertical=upright, stiffness=stiffness, buoyancy=buoyancy)
+
     @property
     def reversal_speed(self) -> float:
         """Speed [m/s] below which stern fins that lift the nose make the vehicle sink; 0 for a pure torque.
@@ -129,19 +163,35 @@ class SpaceVehicle:
         return 2 * side / (drag + math.sqrt(root)) if root >= 0 else math.inf
 
     @property
+    def has_equal_planes(self) -> bool:
+        """Whether both planes have the same parameters."""
+        return self.horizontal == self.vertical
+
+    @property
+    def coefficients(self) -> SpaceCoefficients:
+        """The numbers of the equations of motion without cross terms."""
+        vertical = self.vertical.coefficients._replace(d11=0.0, X_uu=0.0)
+        return SpaceCoefficients(
+            self.horizontal.coefficients, vertical, self.stiffness, self.buoyancy, float(self.of_revolution)
+        )
+
+    @property
+    def cross_terms(self) -> tuple[Number, ...]:
+        """The cross terms of both planes."""
+        return *self.horizontal.cross_terms, *self.vertical.cross_terms
+
+    @property
+    def all_coefficients(self) -> tuple[Number, ...]:
+        """The shortest row that `state_rates` takes for the vehicle."""
+        planes, c = (self.horizontal, self.vertical), self.coefficients
+        if any(plane.has_cross_terms for plane in planes):
+            return self.acting
+        return c.row() if any(plane.has_lift for plane in planes) else c.without_lift
+
+    @property
     def acting(self) -> tuple[Number, ...]:
-        """The row of numbers that `state_rates` takes: both planes, stiffness, buoyancy, shape of the body.
-
-        The surge drag is in the horizontal plane alone, so that it counts once.
-        """
-        vertical = _without_surge_drag(self.vertical.coefficients)
-        planes = (*self.horizontal.coefficients, *self.horizontal.cross_terms, *vertical, *self.vertical.cross_terms)
-        return *planes, self.stiffness, self.buoyancy, float(self.of_revolution)
-
-
-def _without_surge_drag(coefficients: Coefficients) -> Coefficients:
-    """Return the coefficients without drag in surge."""
-    return coefficients._replace(d11=0.0, X_uu=0.0)
+        """The row of numbers that `state_rates` takes: both planes, stiffness, buoyancy, shape of the body."""
+        return self.coefficients.row(self.cross_terms)
 
 
 @dataclass(frozen=True)
@@ -157,7 +207,8 @@ class Pitch:
     of_revolution: bool = True
     F_q_max: float | None = None  # [N m] largest pitch moment; None: that of yaw
     fin: float | None = None  # [kg] the fins give up to fin u^2; None: that of yaw
-    parameters: Mapping[str, float] | None = None  # of the vertical plane, where they differ; None: equal planes
+    parameters: Mapping[str, float] | None = field(default=None, hash=False)
+    # of the vertical plane, where they differ; None: equal planes
 
     def __post_init__(self) -> None:
         allowed = [name for name in PARAMETER_NAMES if name not in _ONE_PLANE]
@@ -168,6 +219,11 @@ class Pitch:
         """Return the vehicle in space for its horizontal plane."""
         vertical = replace(horizontal, **(self.parameters or {}))
         return SpaceVehicle(horizontal, vertical, self.stiffness, self.buoyancy, self.of_revolution)
+
+    def limits(self, F_u_max: float, F_r_max: float, fin: float) -> Limits:
+        """Return the limits of the actuators for those of surge and yaw."""
+        F_q_max, fin_q = F_r_max if self.F_q_max is None else self.F_q_max, fin if self.fin is None else self.fin
+        return Limits(F_u_max, F_q_max, F_r_max, fin_q, fin)
 
     def over(self, units: Units) -> Pitch:
         """Return the entries divided by the scale factors of their dimensions."""
@@ -196,6 +252,14 @@ from_ned = to_ned
 """Return a state in this module's axes for one in north-east-down axes."""
 
 
+def load_from_outside(load: Sequence[Number], row: Sequence[Number]) -> Load:
+    """Return a `Load` from outside as a part of that of `state_rates`, see `dynamics.from_outside`."""
+    (X, Y, Z, M, N), (level, upright, _) = load, _parts(row)
+    X, Y, N = from_outside((X, Y, N), level)
+    _, Z, S = from_outside((0.0, Z, -M), upright)
+    return Load(X, Y, Z, -S, N)
+
+
 def coupling(
     theta: Number, velocity: Sequence[Number], row: Sequence[Number], ns: Any = math
 ) -> tuple[dynamics.Load, dynamics.Load]:
@@ -209,23 +273,39 @@ def coupling(
     Args:
         theta: pitch [rad].
         velocity: u, v, w [m/s], q, r [rad/s].
-        row: `SpaceVehicle.acting`.
+        row: see `state_rates`.
         ns: the namespace of the numbers.
     """
     u, v, w, q, r = velocity
-    level, upright = row[:ROWS], row[ROWS : 2 * ROWS]
-    stiffness, buoyancy, _ = row[2 * ROWS :]
-    m11, m22, m33, n22, n33, eps = *level[:3], *upright[1:3], level[-1]
+    level, upright, (stiffness, buoyancy, _) = _parts(row)
+    m11, m22, m33, n22, n33 = *level[:3], *upright[1:3]
     s, c, sine = -q, ns.cos(theta), ns.sin(theta)
     tan = sine / c
     p = -r * tan
-    v_0, w_0 = v - eps * r, w - eps * s  # of the origin
+    v_0, w_0 = _of_origin(v, r, level), _of_origin(w, s, upright)
     K = (n22 - m22) * v_0 * w_0 + (n33 - m33) * r * s
     surge = m11 * dynamics.rates(theta, u, w, s, (0.0, 0.0, 0.0), upright, ns)[2]
     return (
         from_outside((surge - buoyancy * sine, n22 * w_0 * p, n33 * p * s + K * tan), level),
         from_outside((0.0, buoyancy * c - m22 * v_0 * p, stiffness * sine - m33 * p * r), upright),
     )
+
+
+def drag(row: Sequence[Number]) -> tuple[Number, ...]:
+    """Return the linear drag of u, v, w [N s/m], q, r [N m s] of a row that `state_rates` takes."""
+    level, upright, _ = _parts(row)
+    return level[3], level[4], upright[4], upright[5], level[5]
+
+
+def _parts(row: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number], Sequence[Number]]:
+    """Return the numbers of both planes, and stiffness, buoyancy and shape, of a row that `state_rates` takes."""
+    size = (len(row) - 3) // 2
+    return row[:size], row[size:-3], row[-3:]
+
+
+def _of_origin(slip: Number, turn: Number, plane: Sequence[Number]) -> Number:
+    """Return the sideways velocity of the origin of a plane, for that of the tracked point."""
+    return slip - plane[-1] * turn if len(plane) == ROWS else slip
 
 
 def state_rates(
@@ -240,7 +320,7 @@ def state_rates(
     Args:
         state: the state; |theta| < 90 degrees.
         load: a `Load`.
-        row: `SpaceVehicle.acting`.
+        row: `SpaceVehicle.acting`, or a row of `SpaceCoefficients`.
         current: of the water.
         ns: the namespace of the numbers.
     """
@@ -256,25 +336,27 @@ def state_rates(
     return State(x_dot + V_x, y_dot + V_y, z_dot + V_z, q, psi_dot, u_dot, v_dot, w_dot, -s_dot, r_dot)
 
 
-def _with_cross_flow(
-    across: Sequence[Number], row: Sequence[Number], ns: Any
-) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+def _with_cross_flow(across: Sequence[Number], row: Sequence[Number], ns: Any) -> list[Sequence[Number]]:
     """Return the rows of both planes, in which |v|, |r| of quadratic drag are those of the whole cross-flow.
 
     The difference to the plane's own is a part of the linear drag. It is 0 unless the body is one of revolution.
     """
     v, w, q, r = across
-    eps, share = row[ROWS - 1], row[-1]
-    v, w = v - eps * r, w + eps * q
+    *both, (_, _, share) = _parts(row)
+    v, w = _of_origin(v, r, both[0]), _of_origin(w, -q, both[1])
     slip, turn = ns.sqrt(v * v + w * w + _TINY), ns.sqrt(q * q + r * r + _TINY)
-    planes = []
-    for part, own, rate in ((row[:ROWS], v, r), (row[ROWS : 2 * ROWS], w, q)):
+    planes: list[Sequence[Number]] = []
+    for part, own, rate in zip(both, (v, w), (r, q), strict=True):
+        m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *more = part
         a, b = share * (slip - abs(own)), share * (turn - abs(rate))
-        c, x = Coefficients(*part[: len(Coefficients._fields)]), CrossTerms(*part[len(Coefficients._fields) :])
-        c = c._replace(d22=c.d22 + c.Y_vv * a + x.Y_rv * b, d33=c.d33 + c.N_rr * b + x.N_vr * a)
-        x = x._replace(d23=x.d23 + x.Y_vr * a + x.Y_rr * b, d32=x.d32 + x.N_vv * a + x.N_rv * b)
-        planes.append((*c, *x))
-    return planes[0], planes[1]
+        d22, d33 = d22 + Y_vv * a, d33 + N_rr * b
+        if len(part) == ROWS:
+            x = CrossTerms(*more[4:])
+            d22, d33 = d22 + x.Y_rv * b, d33 + x.N_vr * a
+            d23, d32 = x.d23 + x.Y_vr * a + x.Y_rr * b, x.d32 + x.N_vv * a + x.N_rv * b
+            more = [*more[:4], *x._replace(d23=d23, d32=d32)]
+        planes.append((m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *more))
+    return planes
 
 
 def rk4_step(

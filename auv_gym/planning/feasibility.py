@@ -119,9 +119,12 @@ def check_force(name: str, unit: str, force: Array, limit: Array, times: Array, 
     check_feasible(np.abs(force) <= most, condition, times, positions)
 
 
-def check_bounds(table: Array, most: Sequence[float]) -> None:
-    """Raise ValueError if |u|, |v|, |r|, |F_u| or |F_r| of a reference table, shape (T, 8), exceed their bounds."""
-    terms = ("u_R", "m/s"), ("v_R", "m/s"), ("r_R", "rad/s"), ("F_uR", "N"), ("F_rR", "N m")
-    for (name, unit), value, bound in zip(terms, np.abs(table[:, 3:]).max(axis=0).tolist(), most, strict=True):
+PLANE_TERMS = ("u_R", "m/s"), ("v_R", "m/s"), ("r_R", "rad/s"), ("F_uR", "N"), ("F_rR", "N m")
+"""Name and unit of each column of a reference in the plane that is bounded."""
+
+
+def check_bounds(columns: Array, most: Sequence[float], terms: Sequence[tuple[str, str]] = PLANE_TERMS) -> None:
+    """Raise ValueError if a velocity or force of a reference, shape (T, terms), exceeds its bound."""
+    for (name, unit), value, bound in zip(terms, np.abs(columns).max(axis=0).tolist(), most, strict=True):
         if not value <= bound:
             raise ValueError(f"reference {name} reaches {value:.4g} {unit}; it must be at most {bound:g} {unit}")

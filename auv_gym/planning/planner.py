@@ -147,7 +147,7 @@ class Planner:
         """
         if (table := self._compiled(path, many=many)) is None:
             table, _ = self._in_python(path)
-            check_bounds(table, self.most)
+            check_bounds(table[:, 3:], self.most)
         return table
 
     def tables(self, paths: Any, n: int) -> list[Array | None]:

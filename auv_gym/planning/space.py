@@ -10,19 +10,21 @@ equation of the sideslip in the plane, see `auv_gym.planning.sideslip`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from auv_gym.codegen.derivatives import directional
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
+from auv_gym.effects.space import MAX_PITCH
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.space import ROWS, SPACE_ROWS, Limits, SpaceVehicle, axes, state_rates
 from auv_gym.planning.feasibility import (
+    check_bounds,
     check_braking,
     check_feasible,
     check_force,
@@ -33,8 +35,7 @@ from auv_gym.planning.paths.space import SpacePath
 from auv_gym.planning.planner import MAX_SAMPLES, RUN_IN, checked_grid
 from auv_gym.planning.sideslip import MAX_SIDESLIP
 
-MAX_PITCH = math.radians(80.0)
-"""Largest pitch of a reference [rad]: pitch and heading are singular at 90 degrees."""
+T = TypeVar("T")
 _MAX_STEP = 0.05  # largest integration step, in time constants of the fastest transient
 _SLOWEST = 10.0  # `Vehicle.time` that count as at most one time constant in the run-in
 _FASTEST = 20.0  # largest rate of a transient per `Vehicle.time` that the step follows; faster ones are not feasible
@@ -46,6 +47,10 @@ _NEGLIGIBLE = 1e-13  # [m/s^2] residual that is always allowed
 _NO_LOAD = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEVEL = 1e-3  # largest slope of a path that counts as level
 _LARGEST_CHANGE = 0.1  # [rad] in one iteration for the steady angles: |v| v has hardly a slope at v = 0
+_TOGETHER = 32  # paths that are integrated together, which bounds the memory
+_BOUNDED = [
+    (f"{name}_R", unit) for name, unit in (("u", "m/s"), ("v", "m/s"), ("w", "m/s"), ("q", "rad/s"), ("r", "rad/s"))
+] + [("F_uR", "N"), ("F_qR", "N m"), ("F_rR", "N m")]
 _PITCH_INERTIA = ROWS + 2  # index in `SpaceVehicle.acting`
 
 
@@ -93,35 +98,133 @@ def plan(path: SpacePath, vehicle: SpaceVehicle, times: Array, limits: Limits | 
             beyond its limit.
     """
     times = checked_grid(times, path)
-    row, dt = np.array(vehicle.acting), float(times[-1] - times[0]) / (len(times) - 1)
-    fast, slow = _rates(_steady(_derivatives(path, times), row)[1])
-    substeps = math.ceil(dt * min(fast, _FASTEST / vehicle.horizontal.time) / _MAX_STEP)
-    h = dt / substeps
-    run_in = RUN_IN * min(1 / slow, _SLOWEST * vehicle.horizontal.time)
-    lead = int(min(run_in, float(times[0] - path.start)) / h)
-    steps = lead + (len(times) - 1) * substeps
-    if 2 * steps > MAX_SAMPLES:
-        raise ValueError(
-            f"the plan needs {2 * steps} samples of the path; at most {MAX_SAMPLES} are allowed. Fewer times, or a "
-            "vehicle with less drag for its inertia, need fewer"
-        )
-    samples: Array = times[0] + 0.5 * h * np.arange(-2 * lead, 2 * (steps - lead) + 1)
-    samples[-1] = times[-1]  # exactly, since rounding could exceed the end of the path
-    derivatives = _derivatives(path, samples)
-    inside = derivatives[..., 2 * lead :: 2]
-    _check_path(derivatives, vehicle, samples)
-    turning = _integrated(derivatives, row, h)[:, lead:]
-    ahead = math.atan2(inside[1, 1, 0], inside[1, 0, 0])
-    turning[1] -= 2 * math.pi * np.round((turning[1, 0] - ahead) / (2 * math.pi))  # full turns of the run-in
-    _check_angles(turning, inside, samples[2 * lead :: 2])
-    instants = inside[..., ::substeps]
-    results = _motion()(path=instants[1:].reshape(9, -1), turning=turning[:, ::substeps], vehicle=row)
-    reference = SpaceReference(times, *instants[0], *results["motion"])
-    no_balance = "no turn rates balance the lateral forces"
-    check_feasible(results["there"][0] > 0, lambda _: no_balance, times, instants[0])
-    if limits is not None:
-        _check_forces(reference, vehicle, limits)
-    return reference
+    return SpacePlanner(vehicle, times, limits).plan(path)
+
+
+class SpacePlanner:
+    """Plans the references of paths at given times.
+
+    Args:
+        vehicle: see `plan`.
+        times: see `plan`.
+        limits: see `plan`.
+        most: largest |u|, |v|, |w| [m/s], |q|, |r| [rad/s], |F_u| [N], |F_q|, |F_r| [N m] of a reference.
+    """
+
+    def __init__(
+        self, vehicle: SpaceVehicle, times: Array, limits: Limits | None = None, most: Sequence[float] = ()
+    ) -> None:
+        self.vehicle, self.times, self._limits, self._most = vehicle, times, limits, most
+        self._row = np.array(vehicle.acting)
+        self._period = float(times[-1] - times[0]) / (len(times) - 1)
+
+    def plan(self, path: SpacePath) -> SpaceReference:
+        """Return the reference of a path; raises as `table`."""
+        return SpaceReference(self.times, *self.table(path).T)
+
+    def table(self, path: SpacePath, *, many: bool = True) -> Array:
+        """Return the `SpaceReference.table` of a path, shape (T, 13).
+
+        Raises:
+            ValueError: see `plan`, or the reference exceeds `most`.
+            InfeasibleReferenceError: see `plan`.
+        """
+        del many
+        (planned,) = self._planned([path])
+        if isinstance(planned, ValueError):
+            raise planned
+        return planned
+
+    def tables(self, paths: Sequence[SpacePath]) -> list[Array | None]:
+        """Return the `table` of each path, None if it raises an error; in less time than one by one."""
+        tables: list[Array | None] = []
+        for first in range(0, len(paths), _TOGETHER):
+            planned = self._planned(paths[first : first + _TOGETHER])
+            tables += [None if isinstance(table, ValueError) else table for table in planned]
+        return tables
+
+    def _planned(self, paths: Sequence[SpacePath]) -> list[Array | ValueError]:
+        """Return the table of each path or its error. Paths with the same grid are integrated together."""
+        done: dict[int, Array | ValueError] = {}
+        grids: dict[tuple[int, int], list[int]] = {}
+        for k, path in enumerate(paths):
+            if isinstance(grid := _tried(self._grid, path), ValueError):
+                done[k] = grid
+            else:
+                grids.setdefault(grid, []).append(k)
+        for grid, members in grids.items():
+            done |= zip(members, self._integrated([paths[k] for k in members], *grid), strict=True)
+        return [done[k] for k in range(len(paths))]
+
+    def _grid(self, path: SpacePath) -> tuple[int, int]:
+        """Return the integration steps in a period, and those before the first time, for the transients on a path.
+
+        Steps and run-in are rounded up to powers of two, so that few grids are in use.
+
+        Raises:
+            ValueError: the plan needs too many samples, or `path.derivatives` returns an array of another shape.
+        """
+        fast, slow = _rates(steady_axis(_derivatives(path, self.times), self._row)[1])
+        time, instants = self.vehicle.horizontal.time, len(self.times)
+        substeps = _power(self._period * min(fast, _FASTEST / time) / _MAX_STEP)
+        run_in = _power(RUN_IN * min(1 / slow, _SLOWEST * time) / self._period)
+        lead = min(run_in * substeps, int(min(float(self.times[0] - path.start) / self._period, 1e9) * substeps))
+        if (samples := 2 * (lead + (instants - 1) * substeps)) > MAX_SAMPLES:
+            raise ValueError(
+                f"the plan needs {samples} samples of the path; at most {MAX_SAMPLES} are allowed. Fewer times, or a "
+                "vehicle with less drag for its inertia, need fewer"
+            )
+        return substeps, lead
+
+    def _integrated(self, paths: Sequence[SpacePath], substeps: int, lead: int) -> list[Array | ValueError]:
+        """Return the table of each path or its error, for the grid that the paths have."""
+        times, h = self.times, self._period / substeps
+        steps = lead + (len(times) - 1) * substeps
+        samples: Array = times[0] + 0.5 * h * np.arange(-2 * lead, 2 * (steps - lead) + 1)
+        samples[-1] = times[-1]  # exactly, since rounding could exceed the end of the path
+        derivatives = np.stack([_derivatives(path, samples) for path in paths], axis=-1)
+        turning = self._turning(derivatives, h)[:, lead:]
+        each = ((derivatives[..., k], turning[..., k]) for k in range(len(paths)))
+        return [_tried(self._checked, *one, samples, lead, substeps) for one in each]
+
+    def _turning(self, derivatives: Array, h: float) -> Array:
+        """Return theta, psi, q, r at every second sample, shape (4, n, N), from the steady angles on."""
+        path, n = derivatives[1:3].reshape(6, *derivatives.shape[2:]), derivatives.shape[-1]
+        first, _ = steady_axis(derivatives[:, :, 0], self._row)
+        stages = np.concatenate((path[:, :-2:2], path[:, 1::2], path[:, 2::2]))
+        samples = np.ascontiguousarray(stages.transpose(1, 0, 2))
+        step = np.full((1, n), h)
+        after = axis_step()(len(samples), turning=first, times=samples, vehicle=self._row, step=step)["after"]
+        return np.concatenate((first[:, None], after.transpose(1, 0, 2)), axis=1)
+
+    def _checked(self, derivatives: Array, turning: Array, samples: Array, lead: int, substeps: int) -> Array:
+        """Return the table of a path for its derivatives and angles at the samples; raise the errors of `table`."""
+        times, turning = self.times, turning.copy()
+        _check_path(derivatives, self.vehicle, samples)
+        inside = derivatives[..., 2 * lead :: 2]
+        ahead = math.atan2(inside[1, 1, 0], inside[1, 0, 0])
+        turning[1] -= 2 * math.pi * np.round((turning[1, 0] - ahead) / (2 * math.pi))  # full turns of the run-in
+        _check_angles(turning, inside, samples[2 * lead :: 2])
+        instants = inside[..., ::substeps]
+        flat = np.ascontiguousarray(instants[1:].reshape(9, -1))
+        results = axis_motion()(path=flat, turning=np.ascontiguousarray(turning[:, ::substeps]), vehicle=self._row)
+        reference = SpaceReference(times, *instants[0], *results["motion"])
+        no_balance = "no turn rates balance the lateral forces"
+        check_feasible(results["there"][0] > 0, lambda _: no_balance, times, instants[0])
+        if self._limits is not None:
+            _check_forces(reference, self.vehicle, self._limits)
+        table = np.ascontiguousarray(reference.table)
+        if self._most:
+            check_bounds(table[:, 5:], self._most, _BOUNDED)
+        return table
+
+
+def _tried(function: Callable[..., T], *arguments: Any) -> T | ValueError:
+    """Return the result of a function, or its ValueError."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        return error
 
 
 def _derivatives(path: SpacePath, times: Array) -> Array:
@@ -198,12 +301,12 @@ def _along(velocity: Array) -> Array:
     return np.array((theta, np.arctan2(y, x), pitch, turn * np.cos(theta)))
 
 
-def _steady(derivatives: Array, row: Array) -> tuple[Array, Array]:
+def steady_axis(derivatives: Array, row: Array) -> tuple[Array, Array]:
     """Return theta, psi, q, r at which the axis turns as the path does, shape (4, T), and how other angles decay.
 
     The second array, shape (T, 2, 2), has the derivatives of theta' and psi' by theta and psi.
     """
-    path, first = derivatives[1:3].reshape(6, -1), _along(derivatives[1:3])
+    path, first = np.ascontiguousarray(derivatives[1:3].reshape(6, -1)), _along(derivatives[1:3])
     results = _steady_iteration()(_ITERATIONS, path=path, turning=first, vehicle=row)
     return results["turning"], results["slopes"].T.reshape(-1, 2, 2)
 
@@ -214,13 +317,9 @@ def _rates(slopes: Array) -> tuple[float, float]:
     return float(rates.max(initial=1e-3)), float(rates.min(initial=1e3))
 
 
-def _integrated(derivatives: Array, row: Array, h: float) -> Array:
-    """Return theta, psi, q, r at every second sample, shape (4, n), from the steady angles on."""
-    path, (first, _) = derivatives[1:3].reshape(6, -1), _steady(derivatives[..., :1], row)
-    times = np.concatenate((path[:, :-2:2], path[:, 1::2], path[:, 2::2])).T
-    samples = np.ascontiguousarray(times)[:, :, None]
-    after = _step()(len(times), turning=first, times=samples, vehicle=row, step=np.array([h]))["after"]
-    return np.concatenate((first, after[..., 0].T), axis=1)
+def _power(number: float) -> int:
+    """Return the smallest power of two that is not below a number, at least 1."""
+    return 1 << math.ceil(math.log2(max(number, 1.0)))
 
 
 def _missing(path: Sequence[Any], turning: Sequence[Any], row: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
@@ -297,7 +396,7 @@ def _steady_iteration() -> Kernel:
 
 
 @cache
-def _step() -> Kernel:
+def axis_step() -> Kernel:
     """Return one Runge-Kutta step of pitch and heading; turn rates of the last stage are the next guess."""
 
     def equation(turning: Any, times: Any, vehicle: Any, step: Any) -> Mapping[str, Sequence[Any]]:
@@ -321,11 +420,11 @@ def _step() -> Kernel:
         return {"turning": after, "after": after}
 
     sizes = {"turning": 4, "times": 18, "vehicle": SPACE_ROWS, "step": 1}
-    return Kernel.traced(equation, sizes, ["times", "after"], shared=["vehicle", "step"])
+    return Kernel.traced(equation, sizes, ["times", "after"], shared=["vehicle"])
 
 
 @cache
-def _motion() -> Kernel:
+def axis_motion() -> Kernel:
     """Return the kernel of theta, psi, u, v, w, q, r, F_u, F_q, F_r on a path, and of whether the forces balance."""
 
     def equation(path: Any, turning: Any, vehicle: Any) -> Mapping[str, Sequence[Any]]:

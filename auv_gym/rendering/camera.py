@@ -22,8 +22,8 @@ class View(NamedTuple):
     travelled: int  # index of the present reference in the path
     trail: Array  # (m, 2) [m] past positions, oldest first
     current: tuple[float, float]  # V_x, V_y [m/s] in the world
-    force: tuple[float, float]  # F_u [N], F_r [N m] of the actuators
-    force_limits: tuple[float, float]  # F_u_max [N], F_r_max [N m]
+    force: tuple[float, ...]  # F_u [N], F_r [N m] of the actuators; in space F_u, F_q, F_r
+    force_limits: tuple[float, ...]  # of the same
     position_error: float  # [m]
     title: str  # name of the scenario
 

@@ -29,6 +29,7 @@ CAMERA_TIME: Final = 1.0  # [s] time constant of zoom and pan
 ARROW_LENGTH: Final = 72.0  # [units] arrow of the largest recent speed, of the vehicle or the current
 ARROW_MEMORY: Final = 20.0  # [s] time constant of the decay of that speed
 PICTURE: Final = (960, 720)  # [units] nominal size, at which a unit is a pixel
+SIDE: Final = 1.0 / 3.0  # share of a picture's height for the view from the side
 SMALLEST_UNIT: Final = 0.25  # [px] smallest size of a unit
 LEGIBLE: Final = 18  # [px] smaller texts are drawn larger and scaled down
 TEXTS: Final = 1024  # number of images of texts that are kept
@@ -94,6 +95,13 @@ class Canvas:
         """Return the canvas of a rectangle of this one, with the origin at its corner."""
         x, y, width, height = (round(n * self.unit) for n in box)
         return Canvas(self._pygame, (width, height), self.unit, self._surface.subsurface((x, y, width, height)))
+
+    def split(self, share: float) -> tuple[Canvas, Canvas]:
+        """Return the canvases of an upper part and of a lower part, which has a share of the height."""
+        (width, height), part = self._size, round(share * self._size[1])
+        areas = (0, 0, width, height - part), (0, height - part, width, part)
+        upper, lower = (Canvas(self._pygame, area[2:], self.unit, self._surface.subsurface(area)) for area in areas)
+        return upper, lower
 
     @property
     def surface(self) -> Any:

@@ -28,10 +28,13 @@ _NAMES = ("vehicle", "reference", "path done, ahead", "trail", "velocity", "curr
 """Entries of the legend from top to bottom."""
 
 
-def draw_cards(canvas: Canvas, camera: Camera, view: View) -> None:
-    """Draw the error beside the vehicle, then the four corners: numbers, legend, scale with axes, forces."""
+def draw_cards(canvas: Canvas, camera: Camera, view: View, side: View | None = None) -> None:
+    """Draw the error beside the vehicle, then the four corners: numbers, legend, scale with axes, forces.
+
+    The numbers have depth and pitch if there is a view from the side.
+    """
     _draw_error(canvas, camera, view)
-    _draw_numbers(canvas, view)
+    _draw_numbers(canvas, view, side)
     _draw_legend(canvas, camera, view)
     _draw_scale(canvas, camera)
     _draw_forces(canvas, view)
@@ -46,23 +49,39 @@ def _draw_error(canvas: Canvas, camera: Camera, view: View) -> None:
     canvas.text(f"error {metres(view.position_error)}", x, y, color=ALERT, align=0.5)
 
 
-def _draw_numbers(canvas: Canvas, view: View) -> None:
-    """Draw title, time, error and speed in the top left corner."""
+def _draw_numbers(canvas: Canvas, view: View, side: View | None) -> None:
+    """Draw title, time, error, speed, and in space depth and pitch, in the top left corner."""
     width = max(240.0, canvas.width_of(view.title, 19.0) + 32.0)
-    canvas.card((12.0, 12.0, width, 122.0), ("numbers", view.title), partial(_number_names, title=view.title))
-    rows = (
-        (f"{view.time:.1f} s", INK),
-        (metres(view.position_error), ALERT),
-        (f"{math.hypot(*view.state[3:5]):.2f} m/s", INK),
-    )
-    for row, (value, color) in enumerate(rows):
+    rows = [
+        ("time", f"{view.time:.1f} s", INK),
+        ("position error", metres(view.position_error), ALERT),
+        ("speed over ground", f"{math.hypot(*view.state[3:5]):.2f} m/s", INK),
+    ]
+    if side is not None:
+        pitch = math.degrees(side.state[2])
+        rows += [("depth", f"{-side.state[1]:.2f} m", INK), ("pitch, nose up", f"{pitch:.1f} deg", INK)]
+    names = tuple(name for name, _, _ in rows)
+    content = partial(_number_names, title=view.title, names=names)
+    canvas.card((12.0, 12.0, width, 50.0 + 24.0 * len(rows)), ("numbers", view.title), content)
+    for row, (_, value, color) in enumerate(rows):
         canvas.text(value, width - 4.0, 64.0 + 24.0 * row, color=color, align=1.0)
 
 
-def _number_names(card: Canvas, title: str) -> None:
+def _number_names(card: Canvas, title: str, names: tuple[str, ...]) -> None:
     card.text(title, 17.0, 24.0, size=19.0)
-    for row, name in enumerate(("time", "position error", "speed over ground")):
+    for row, name in enumerate(names):
         card.text(name, 17.0, 53.0 + 24.0 * row, color=MUTED)
+
+
+def draw_depths(canvas: Canvas, camera: Camera) -> None:
+    """Draw depths below the surface at the left edge of a view from the side, and a line above the view."""
+    (width, height), spacing = canvas.extent.tolist(), round_down(80.0 / camera.scale)
+    canvas.box((0.0, 0.0, width, 2.0), GRID)
+    for z in camera.lattice(1, spacing) * spacing:
+        y = float(camera.project((0.0, z))[1])
+        if z <= 0.0 and 12.0 < y < height - 12.0:
+            canvas.box((0.0, y - 0.5, 8.0, 1.0), INK)
+            canvas.text(f"{-z + 0.0:g} m deep" if z else "surface", 14.0, y, size=15.0)
 
 
 def _draw_legend(canvas: Canvas, camera: Camera, view: View) -> None:
@@ -114,10 +133,12 @@ def _axes(card: Canvas) -> None:
 
 
 def _draw_forces(canvas: Canvas, view: View) -> None:
-    """Draw surge force and yaw torque as bars between their limits in the bottom right corner."""
-    left, top = float(canvas.extent[0]) - 308.0, float(canvas.extent[1]) - 128.0
-    canvas.card((left, top, 296.0, 116.0), "forces")
-    names = ("surge force", "N"), ("yaw torque", "N m")
+    """Draw the forces as bars between their limits in the bottom right corner."""
+    pitch = (("pitch moment", "N m"),) if len(view.force) == 3 else ()
+    names = ("surge force", "N"), *pitch, ("yaw torque", "N m")
+    height = 10.0 + 53.0 * len(names)
+    left, top = float(canvas.extent[0]) - 308.0, float(canvas.extent[1]) - 12.0 - height
+    canvas.card((left, top, 296.0, height), "forces")
     for row, ((name, unit), force, limit) in enumerate(zip(names, view.force, view.force_limits, strict=True)):
         y = top + 22.0 + 53.0 * row
         share = max(-1.0, min(1.0, force / limit))  # an infinite limit leaves the bar empty

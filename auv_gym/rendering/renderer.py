@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from auv_gym.installation import install
 from auv_gym.rendering.camera import Camera, View, elapsed_between
-from auv_gym.rendering.canvas import PICTURE, Canvas
-from auv_gym.rendering.cards import draw_cards
+from auv_gym.rendering.canvas import PICTURE, SIDE, Canvas
+from auv_gym.rendering.cards import draw_cards, draw_depths
 from auv_gym.rendering.scene import draw_world
 
 RenderMode = Literal["human", "rgb_array"]
@@ -49,27 +49,42 @@ class Renderer:
         self._size = checked_size(size)
         self._canvas = Canvas(self._pygame, self._size)
         self._cards = self._size[0] >= READABLE[0] and self._size[1] >= READABLE[1]
-        self._camera = Camera(self._canvas.extent)
+        self._above, self._camera = self._canvas, Camera(self._canvas.extent)
+        self._side: tuple[Canvas, Camera] | None = None  # in space
         self._last: View | None = None
         self._human, self._fps = render_mode == "human", fps
         self._window: Any = None
         self._clock: Any = None
         self._closed = False
 
-    def draw(self, view: View) -> NDArray[np.uint8] | None:
+    def draw(self, view: View, side: View | None = None) -> NDArray[np.uint8] | None:
         """Draw one picture.
+
+        Args:
+            view: from above.
+            side: from the side, see `two_planes`, drawn below it; None in the plane.
 
         Returns:
             "rgb_array": a new uint8 array (H, W, 3). "human": None; after the window was closed nothing is drawn.
         """
         elapsed = elapsed_between(self._last, view)
         self._last = view
+        if side is not None and self._side is None:
+            self._above, lower = self._canvas.split(SIDE)
+            self._camera, self._side = Camera(self._above.extent), (lower, Camera(lower.extent))
         self._camera.update(view, elapsed)
         if self._human and not self._open_window():
             return None
-        draw_world(self._canvas, self._camera, view)
+        draw_world(self._above, self._camera, view)
         if self._cards:
-            draw_cards(self._canvas, self._camera, view)
+            draw_cards(self._above, self._camera, view, side)
+        if side is not None and self._side is not None:
+            canvas, camera = self._side
+            camera.update(side, elapsed)
+            camera.unit_speed = self._camera.unit_speed
+            draw_world(canvas, camera, side, surface=True)
+            if self._cards:
+                draw_depths(canvas, camera)
         if not self._human:
             return self._canvas.pixels()
         self._window.blit(self._canvas.surface, (0, 0))

@@ -17,6 +17,7 @@ from auv_gym.rendering.canvas import (
     GRID,
     INK,
     MIN_VEHICLE_LENGTH,
+    MUTED,
     PLAN,
     PLAN_DONE,
     SEA_COLOUR,
@@ -53,7 +54,15 @@ class Body(NamedTuple):
         return points
 
 
-def draw_world(canvas: Canvas, camera: Camera, view: View, color: Color = VEHICLE, *, velocity: bool = True) -> None:
+def draw_world(
+    canvas: Canvas,
+    camera: Camera,
+    view: View,
+    color: Color = VEHICLE,
+    *,
+    velocity: bool = True,
+    surface: bool = False,
+) -> None:
     """Draw the scene.
 
     Args:
@@ -62,10 +71,13 @@ def draw_world(canvas: Canvas, camera: Camera, view: View, color: Color = VEHICL
         view: the contents.
         color: colour of vehicle and trail.
         velocity: whether to draw an arrow of the velocity.
+        surface: whether y = 0 is the surface of the water, in a view from the side.
     """
     canvas.fill(SEA_COLOUR)
     _draw_grid(canvas, camera)
     _draw_current(canvas, camera, view.current)
+    if surface:
+        _draw_air(canvas, camera)
     path = camera.project(view.path)
     canvas.line(path[: view.travelled + 1], PLAN_DONE, 2.5)
     draw_trail(canvas, camera.project(view.trail), color)
@@ -87,6 +99,14 @@ def _draw_grid(canvas: Canvas, camera: Camera) -> None:
             values = camera.lattice(axis, spacing) * spacing
             places = camera.project(np.stack((values, values), axis=1))[:, axis]
             canvas.rule(axis, places.tolist(), mix(SEA_COLOUR, GRID, weight), 1.0)
+
+
+def _draw_air(canvas: Canvas, camera: Camera) -> None:
+    """Draw the air above the surface and the surface, if they are in the picture."""
+    (width, height), y = canvas.extent.tolist(), float(camera.project((0.0, 0.0))[1])
+    if y > 0.0:
+        canvas.box((0.0, 0.0, width, min(y, height)), WHITE)
+        canvas.box((0.0, y - 1.0, width, 2.0), MUTED)
 
 
 def _draw_current(canvas: Canvas, camera: Camera, current: tuple[float, float]) -> None:

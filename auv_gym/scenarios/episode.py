@@ -13,47 +13,45 @@ from auv_gym.effects.current import Current
 from auv_gym.effects.faults import Fault
 from auv_gym.effects.navigation import Reckoning
 from auv_gym.effects.waves import Waves
-from auv_gym.physics.dynamics import State
-from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.paths import Path
 
 
 @dataclass(frozen=True)
 class Episode:
     """All random data of one run of a scenario, with the seed of its noise."""
 
-    path: Path
-    vehicle: Vehicle  # the true one
+    path: Any  # a `Path`, in space a `SpacePath`
+    vehicle: Any  # the true one, a `Vehicle`, in space a `SpaceVehicle`
     current: Current
     waves: Waves | None
-    bias: State  # biases of the measurements x, y, psi, u, v, r
+    bias: tuple[float, ...]  # biases of the measurements, in the order of the states
     lag: float  # [s] of the actuators
-    initial_error: tuple[float, float, float]  # x_e, y_e [m] in the world, psi_e [rad]
+    initial_error: tuple[float, ...]  # x_e, y_e [m] in the world, psi_e [rad]; in space x_e, y_e, z_e, theta_e, psi_e
     surge: float  # initial surge velocity as a fraction of that of the reference
     noise_seed: int
-    initial_velocity: tuple[float, float, float] | None = None  # u, v [m/s], r [rad/s]; overrides `surge`
-    effectiveness: tuple[float, float] = (1.0, 1.0)  # actual over commanded surge force and yaw torque
-    reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators saturate
+    initial_velocity: tuple[float, ...] | None = None  # u, v [m/s], r [rad/s], in space u, v, w, q, r; not `surge`
+    effectiveness: tuple[float, ...] = (1.0, 1.0)  # actual over commanded force or moment of each channel
+    reach: tuple[float, ...] = (1.0, 1.0)  # actions at which the actuators saturate
     delay: int = 0  # control periods until a command acts
     outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of each outage of position fixes
     faults: tuple[Fault, ...] = ()  # of actuators and measurements
     reckoning: Reckoning | None = None  # None: there is a position fix in each control step
-    noise: State | None = None  # standard deviations of the measurements; None: those of the scenario
+    noise: tuple[float, ...] | None = None  # standard deviations of the measurements; None: those of the scenario
     correlation: float = 0.0  # [s] correlation time of the noise of the position; 0: white
     effects: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # names and numbers of the effects of `Scenario.effects`
+    profile: tuple[float, ...] = ()  # of the current over depth in space, see `effects.space.Veer`
 
-    def initial_state(self, reference: Sequence[float]) -> State:
+    def initial_state(self, reference: Sequence[float]) -> tuple[Any, ...]:
         """Return the first state, with velocities relative to the water, for the first reference x, y, psi, u, ..."""
-        x_R, y_R, psi_R, u_R = reference[:4]
-        x_e, y_e, psi_e = self.initial_error
-        u, v, r = self.initial_velocity or (self.surge * u_R, 0.0, 0.0)
-        return x_R + x_e, y_R + y_e, psi_R + psi_e, u, v, r
+        error = self.initial_error
+        pose, u_R = reference[: len(error)], reference[len(error)]
+        velocity = self.initial_velocity or (self.surge * u_R, *(0.0,) * (len(error) - 1))
+        return *(x_R + x_e for x_R, x_e in zip(pose, error, strict=True)), *velocity
 
 
 RESET_OPTIONS = {
     "episode": "an Episode to run instead of drawing one",
-    "initial_error": "x_e [m], y_e [m] in the world, psi_e [rad]",
-    "initial_velocity": "u [m/s], v [m/s] relative to the water, r [rad/s]",
+    "initial_error": "x_e [m], y_e [m] in the world, psi_e [rad]; in space x_e, y_e, z_e, theta_e, psi_e",
+    "initial_velocity": "u [m/s], v [m/s] relative to the water, r [rad/s]; in space u, v, w, q, r",
 }
 """The options of `reset(options=...)`, with their meaning."""
 
@@ -65,8 +63,8 @@ def checked_mapping(options: Any) -> Mapping[str, Any]:
     return options or {}
 
 
-def checked_options(options: Any) -> dict[str, Any]:
-    """Return the options of `reset` with vectors as tuples of floats.
+def checked_options(options: Any, size: int = 3) -> dict[str, Any]:
+    """Return the options of `reset` with vectors as tuples of floats, `size` numbers each: 3 in the plane, 5 in space.
 
     Raises:
         ValueError: they are not a dict, a key is unknown, or a value is not as `RESET_OPTIONS` says.
@@ -84,8 +82,11 @@ def checked_options(options: Any) -> dict[str, Any]:
             vector = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             vector = np.array(math.nan)
-        if vector.shape != (3,) or not np.isfinite(vector).all():
-            raise ValueError(f"reset option {key} is {value!r}; it must be three finite numbers: {RESET_OPTIONS[key]}")
+        if vector.shape != (size,) or not np.isfinite(vector).all():
+            raise ValueError(
+                f"reset option {key} is {value!r}; it must be {({3: 'three', 5: 'five'})[size]} finite numbers: "
+                + RESET_OPTIONS[key]
+            )
         checked[key] = tuple(vector.tolist())
     return checked
 

@@ -141,7 +141,8 @@ void least_speeds(long count, const int64_t *indices, const int64_t *entries, do
         const double *velocity = (const double *)entry[TABLE] + VELOCITY;
         double least = INFINITY;
         for (long k = 0; k < entry[INSTANTS]; k++, velocity += REFERENCE) {
-            const double square = velocity[0] * velocity[0] + velocity[1] * velocity[1];
+            double square = velocity[0] * velocity[0];
+            for (long j = 1; j < VELOCITIES; j++) square += velocity[j] * velocity[j];
             least = square < least ? square : least;
         }
         speeds[i] = sqrt(least);
@@ -154,7 +155,7 @@ void least_speeds(long count, const int64_t *indices, const int64_t *entries, do
  * time, row: strides of `out`
  * indices, columns: index of each sub-environment, and its column in `out`
  * entries, states, gusts, weathers, waves: `Entry`, state of the generator and numbers of all sub-environments
- * memory: (TILE * (SAMPLES + NORMALS) + NORMALS + 3) * steps numbers
+ * memory: (TILE * (SAMPLES + NORMALS) + NORMALS + 1 + CURRENT) * steps numbers, in space one more for each step
  * numpy_normal: function of standard normals of NumPy
  */
 void read_samples(long count, long steps, long most, long time, long row, const int64_t *indices,
@@ -192,7 +193,16 @@ void read_samples(long count, long steps, long most, long time, long row, const 
             double *current = sample + REFERENCE * steps, *load = current + CURRENT * steps;
             double *measured = load + LOAD * steps;
             memset(load, 0, LOAD * steps * sizeof(double));
+#ifdef HEIGHT
+            double *depths = swing + CURRENT * steps;
+            for (long j = 0; j < steps; j++) {
+                const long k = next + j, last = entry[INSTANTS] - 1;
+                depths[j] = -((const double *)entry[TABLE])[REFERENCE * (k < last ? k : last) + HEIGHT];
+            }
+            const int64_t of_waves[] = {steps, AT(load), steps, AT(instants), steps, AT(depths), steps, AT(wave), WAVE};
+#else
             const int64_t of_waves[] = {steps, AT(load), steps, AT(instants), steps, AT(wave), WAVE};
+#endif
             wave_loads(of_waves, 0, (int)entry[WAVES]);
             const int64_t of_rest[] = {steps, AT(instants), steps, AT(swing), steps, AT(transposed), steps, AT(weather),
                                        AT(current), steps, AT(measured), steps};

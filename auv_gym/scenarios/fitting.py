@@ -18,6 +18,7 @@ from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import NOISES
 from auv_gym.physics.intervals import Interval, check_number
+from auv_gym.physics.intervals import times as scaled
 from auv_gym.physics.units import DIMENSIONS, Units, in_paper_units
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -32,7 +33,7 @@ from auv_gym.scenarios.vehicles import (
     as_vehicle,
     as_vehicle_model,
 )
-from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
+from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled_part
 
 MOST_SUBSTEPS = 64
 """Largest number of integration steps per control period that is chosen for a vehicle."""
@@ -126,7 +127,7 @@ class Sea:
 
 def check_adaptable(scenario: Scenario) -> None:
     """Raise ValueError if a scenario is not for the vehicle of the paper, so that scaling it has no meaning."""
-    if scenario.known not in (PAPER_VEHICLE, PAPER):
+    if scenario.known_plane not in (PAPER_VEHICLE, PAPER):
         raise ValueError(
             f"scenario {scenario.name!r} has its own vehicle, so it cannot be adapted to another one; leave out the "
             "vehicle, or use a scenario of the paper's vehicle"
@@ -175,10 +176,15 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
         changes["waves"] = replace(
             waves, surge=surge, sway=sway, yaw=yaw / units.length, most_yaw=min(waves.most_yaw, most)
         )  # yaw is of d33 U / (1 m)
+    if scenario.vertical is not None:
+        changes["vertical"] = scenario.vertical.scaled(units, vehicle_model.pitch)
     if actuators.fin:
         start = changes["start"]
         errors = {name: scaled(getattr(start, name), FIN_OFFSETS) for name in ("x_e", "y_e", "psi_e")}
         changes["start"] = replace(start, **errors, surge=_at_least(FIN_SURGE, start.surge))
+        if (vertical := changes.get("vertical")) is not None:
+            errors = {name: scaled(getattr(vertical, name), FIN_OFFSETS) for name in ("z_e", "theta_e")}
+            changes["vertical"] = replace(vertical, **errors)
     return _integrable(
         scenario,
         vehicle=v,
@@ -251,6 +257,8 @@ def in_vehicle_units(scenario: Scenario) -> Scenario:
     waves, mismatch = scaled_part("waves", scenario.waves, back), scenario.mismatch
     if waves is not None:
         waves = replace(waves, yaw=waves.yaw * units.length)  # of d33 U / (1 m)
+    if scenario.vertical is not None:
+        changes["vertical"] = scenario.vertical.scaled(back, scenario.vertical.pitch.over(units))
     if mismatch is not None:
         dimensions = zip(mismatch.quadratic_drag, ("kg/m", "kg/m", "kg m^2"), strict=True)
         X_uu, Y_vv, N_rr = (drag / units.factor(*UNITS[unit]) for drag, unit in dimensions)

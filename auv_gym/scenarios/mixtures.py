@@ -10,7 +10,8 @@ from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.faults import RandomFaults
 from auv_gym.effects.waves import RandomWaves
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
+from auv_gym.scenarios.names import SPACE_CASES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPACE_PRESETS, SPEED_RANGES, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 
 Mixture = tuple[tuple[Scenario, float], ...]
@@ -150,9 +151,12 @@ def everything() -> Mixture:
     return tuple(parts)
 
 
+SPACE_WEIGHTS: Mapping[str, float] = {"storm": 4.0, "noise": 2.0}
+"""Weights of the cases in space; the other cases have weight 1."""
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **{f"{speed_range}-outages": outages_and_far_starts(speed_range) for speed_range in SPEED_RANGES},
     **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
+    "space": tuple((SPACE_PRESETS[f"space-{case}"], SPACE_WEIGHTS.get(case, 1.0)) for case in SPACE_CASES),
 }
 """Mixtures by name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from auv_gym.effects.actuators import Actuators
@@ -15,11 +15,12 @@ from auv_gym.effects.sensors import Sensors
 from auv_gym.effects.waves import RandomWaves
 from auv_gym.physics.intervals import Interval
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.names import CASES, SPEED_RANGES, STEPS
+from auv_gym.scenarios.names import CASES, SPACE_CASES, SPEED_RANGES, STEPS
 from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from auv_gym.scenarios.vertical import Vertical
 
-__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
+__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPACE_PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,24 @@ PAPER_SCENARIO = Scenario(
 )
 """Section V: the 10 m circle at 0.1 m/s, from rest with errors of 0.5 m, 1 m and 20 deg, each of random sign."""
 
+_VERTICAL = Vertical(climb=0.35, depth=(4.0, 30.0), z_e=(-0.5, 0.5), theta_e=(-0.15, 0.15))
+_SPACE: Mapping[str, Mapping[str, Any]] = {
+    "noise": {"depth_noise": (0.004, 0.12)},
+    "current": {"current": (-0.1, 0.1), "veer": (-0.03, 0.03), "decay": (0.0, 0.03)},
+    "mismatch": {"stiffness": (0.8, 1.2)},
+}
+"""Entries of the vertical part of the cases; a storm has all of them."""
+
+
+def _in_space(case: str) -> Scenario:
+    """Return the scenario of a disturbance case in space: that at cruise with a vertical part."""
+    parts = _SPACE if case == "storm" else {case: _SPACE.get(case, {})}
+    vertical = replace(_VERTICAL, **{name: x for entries in parts.values() for name, x in entries.items()})
+    return replace(_preset("cruise", case), name=f"space-{case}", vertical=vertical)
+
+
+SPACE_PRESETS = {s.name: s for s in map(_in_space, SPACE_CASES)}
+"""Scenarios in space by name."""
 PRESETS = {
     s.name: s for s in (PAPER_SCENARIO, *(_preset(speed_range, case) for speed_range in SPEED_RANGES for case in CASES))
 }
@@ -110,8 +129,8 @@ PRESETS = {
 
 
 def list_scenarios() -> list[str]:
-    """Return the names of the presets."""
-    return list(PRESETS)
+    """Return the names of the presets, in the plane and in space."""
+    return [*PRESETS, *SPACE_PRESETS]
 
 
 def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any]) -> Scenario:
@@ -127,14 +146,15 @@ def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any])
         return scenario
     if isinstance(scenario, Mapping):
         return Scenario.from_dict(scenario)
+    presets = PRESETS | SPACE_PRESETS
     if isinstance(scenario, str):
         name, at, vehicle = scenario.partition("@")
-        if name in PRESETS:
-            return changed(PRESETS[name], vehicle if at else None)
+        if name in presets:
+            return changed(presets[name], vehicle if at else None)
     if (file := table_file(scenario)) is not None:
         return Scenario.load(file)
     allowed = (
-        f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(PRESETS)}, optionally with a vehicle, such "
+        f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(presets)}, optionally with a vehicle, such "
         "as cruise-storm@lauv"
     )
-    raise ValueError(f"unknown scenario {scenario!r}{meant(scenario, PRESETS)}; allowed are {allowed}")
+    raise ValueError(f"unknown scenario {scenario!r}{meant(scenario, presets)}; allowed are {allowed}")

@@ -19,22 +19,29 @@ from auv_gym.effects.current import Current, RandomCurrent
 from auv_gym.effects.faults import RandomFaults
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import Sensors
+from auv_gym.effects.space import SPACE_PACKAGE
 from auv_gym.effects.waves import RandomWaves
-from auv_gym.physics.dynamics import Load, State
+from auv_gym.physics.dynamics import Load
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
 from auv_gym.physics.namespaces import Array, Number
+from auv_gym.physics.space import Limits, SpaceVehicle
 from auv_gym.physics.stiffness import AT_REST, check_step, substeps_for
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
+from auv_gym.planning.paths.space import HEIGHTS, SPACE_PATHS, SpacePath, WithHeight
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, guarded, meant, read_table, to_record
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle, model_from
+from auv_gym.scenarios.vertical import Vertical
+from auv_gym.task.model import PLANE
 from auv_gym.task.observation import TERMS, reference_bounds
 from auv_gym.task.simulation import Parameters, Parts
+from auv_gym.task.space import SPACE, SpaceResponse
 
 if TYPE_CHECKING:
     from auv_gym.planning.planner import Planner
     from auv_gym.planning.reserves import Reserves
+    from auv_gym.planning.space import SpacePlanner
 
 T = TypeVar("T")
 DRAWS = 96
@@ -99,7 +106,7 @@ class Start:
 
 
 _PARTS: dict[str, tuple[type, ...]] = {
-    "path": (RandomPath, Path),
+    "path": (RandomPath, Path, SpacePath),
     "vehicle": (Vehicle,),
     "mismatch": (RandomMismatch, type(None)),
     "current": (RandomCurrent, type(None)),
@@ -108,6 +115,7 @@ _PARTS: dict[str, tuple[type, ...]] = {
     "actuators": (Actuators,),
     "start": (Start,),
     "faults": (RandomFaults, type(None)),
+    "vertical": (Vertical, type(None)),
 }
 
 
@@ -116,7 +124,7 @@ class Scenario:
     """A task: path, vehicle, disturbances, sensors, actuators, start, clock and reward; intervals are distributions."""
 
     name: str = "custom"
-    path: Path | RandomPath = PAPER_CIRCLE
+    path: Path | SpacePath | RandomPath = PAPER_CIRCLE
     vehicle: Vehicle = PAPER_VEHICLE  # the nominal vehicle, for which the reference is planned
     mismatch: RandomMismatch | None = None  # None: the true vehicle is the nominal one
     current: RandomCurrent | None = None
@@ -125,6 +133,7 @@ class Scenario:
     actuators: Actuators = field(default_factory=Actuators)
     start: Start = field(default_factory=Start)
     faults: RandomFaults | None = None
+    vertical: Vertical | None = None  # None: motion in the plane
     effects: tuple[Effect, ...] = ()  # of classes made by `auv_gym.effects.effect`
     control_dt: float = 0.1  # [s] control period
     steps: int = 1000  # control steps until truncation
@@ -166,7 +175,11 @@ class Scenario:
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
         self._check_step(self._stiffest)
-        if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
+        if self.vertical is not None:
+            self.vertical.check(self)
+        elif isinstance(self.path, SpacePath):
+            raise ValueError("the path is one in space; give the scenario a vertical part, vertical=Vertical(...)")
+        if not isinstance(self.path, RandomPath) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
@@ -178,7 +191,7 @@ class Scenario:
         return self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients
 
     @property
-    def _load(self) -> Load:
+    def largest_load(self) -> Load:
         """Largest force in surge [N] and sway [N] and largest moment in yaw [N m] of actuators and waves."""
         surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
         if self.waves is not None:
@@ -189,16 +202,22 @@ class Scenario:
 
     def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
         """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
-        check_step(self.control_dt / self.substeps, coefficients, self._load, speeds)
+        check_step(self.control_dt / self.substeps, coefficients, self.largest_load, speeds)
 
     @property
     def least_substeps(self) -> int:
         """The smallest valid `substeps` for its vehicles, actuators and waves."""
-        return substeps_for(self.control_dt, self._stiffest, self._load)
+        least = substeps_for(self.control_dt, self._stiffest, self.largest_load)
+        return least if self.vertical is None else max(least, self.vertical.least_substeps(self))
 
     @property
-    def known(self) -> Vehicle | VehicleModel:
-        """What policies get: the vehicle, with its actuators if the scenario was adapted to a vehicle model."""
+    def known(self) -> Vehicle | VehicleModel | SpaceVehicle:
+        """What policies get: `known_plane`, in space the vehicle with five degrees of freedom."""
+        return self.known_plane if self.vertical is None else self.vertical.vehicle(self)
+
+    @property
+    def known_plane(self) -> Vehicle | VehicleModel:
+        """The vehicle in the plane, with its actuators if the scenario was adapted to a vehicle model."""
         return self.model if self.model is not None and self.model.vehicle == self.vehicle else self.vehicle
 
     @property
@@ -223,7 +242,8 @@ class Scenario:
         if self.faults:
             faults = self.faults.draw(np.random.default_rng([noise_seed, 4]), duration)
             episode = replace(episode, faults=faults)
-        return self.completed(episode, noise_seed)
+        episode = self.completed(episode, noise_seed)
+        return episode if self.vertical is None else self.vertical.extended(episode, self, noise_seed)
 
     def completed(self, episode: Episode, noise_seeds: Any) -> Episode:
         """Return an episode with the numbers that have a stream of their own: those of the noise, and `effects`.
@@ -240,8 +260,8 @@ class Scenario:
         drawn = ((one.name, one.draw(uniform_of(one.name, noise_seeds))) for one in self.effects)
         return replace(episode, effects=tuple(drawn))
 
-    def noise_of(self, episode: Episode) -> State:
-        """Return the standard deviations of the six measurements in an episode."""
+    def noise_of(self, episode: Episode) -> tuple[Number, ...]:
+        """Return the standard deviations of the measurements in an episode."""
         return self.sensors.noise if episode.noise is None else episode.noise
 
     def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
@@ -295,9 +315,13 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of the simulation that its episodes use."""
-        own = (type(one) for one in self.effects)
-        effects = *(e for e in PACKAGE if e.used(self)), *(e for e in own if e not in PACKAGE)
-        return Parts(self.substeps, effects, self.bound_factor)
+        effects = *(e for e in self._package if e.used(self)), *(type(one) for one in self.effects)
+        return Parts(self.substeps, effects, self.bound_factor, SPACE if self.vertical else PLANE)
+
+    @property
+    def _package(self) -> tuple[type[Effect], ...]:
+        """The effects of the package for its kind of motion."""
+        return SPACE_PACKAGE if self.vertical else PACKAGE
 
     @property
     def bound_factor(self) -> int:
@@ -307,9 +331,15 @@ class Scenario:
         return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
 
     @property
-    def planner(self) -> Planner:
-        """The planner of the references of its paths, for the known vehicle; equal scenarios share it."""
+    def planner(self) -> Any:
+        """The planner of the references of its paths, for the known vehicle; equal scenarios share it.
+
+        It is a `Planner`, in space a `SpacePlanner`.
+        """
         act = self.actuators
+        if self.vertical is not None:
+            known, most = self.vertical.vehicle(self), self.vertical.limits(act)
+            return _space_planner(known, self.control_dt, self.steps, most, self.bound_factor)
         limits = act.F_u_max, act.F_r_max
         return _planner(self.vehicle, self.control_dt, self.steps, limits, act.fin, self.bound_factor)
 
@@ -317,7 +347,12 @@ class Scenario:
         """Return what the known vehicle's motion on its path leaves of the limits, in the mean current of an episode.
 
         Gusts, shear and turn of the current are left out, see `auv_gym.planning.reserves.reserves`.
+
+        Raises:
+            ValueError: the scenario is one in space, or the motion cannot be planned in the current.
         """
+        if self.vertical is not None:
+            raise ValueError(f"reserves are for motion in the plane; scenario {self.name!r} is one in space")
         from auv_gym.planning.reserves import reserves
 
         act, now, path = self.actuators, episode.current, episode.path
@@ -337,33 +372,39 @@ class Scenario:
         Raises:
             ValueError: the episode has an effect that the scenario does not have, or the integration step is too long.
         """
-        there = [e.what for e in PACKAGE if e not in self.parts.effects and e.there(episode)]
+        there = [e.what for e in self._package if e not in self.parts.effects and e.there(episode)]
         there += [
             f"the effect {name!r}" for name, _ in episode.effects if name not in [one.name for one in self.effects]
         ]
         if there:
             raise ValueError(f"the episode has {there[0]}, but scenario {self.name!r} has none; change one of them")
-        if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
-            self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)
+        if self.vertical is None and (
+            episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle)
+        ):
+            self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)  # type: ignore[arg-type]
         return self.constants(episode, parts)
 
     def constants(self, episode: Episode, parts: Parts | None = None) -> Parameters:
         """Return the `parameters` of an episode of this scenario, or rows of them."""
         act, parts = self.actuators, parts or self.parts
-        return Parameters(
+        limits = {"u": act.F_u_max, "r": act.F_r_max}
+        response: Any = Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt)
+        if self.vertical is not None:
+            limits["q"], response = self.vertical.limits(act).F_q_max, SpaceResponse.of(response)
+        channels = zip(parts.model.channels, episode.effectiveness, strict=True)
+        constants: Parameters = parts.model.Parameters(
             h=self.control_dt / self.substeps,
             coefficients=episode.vehicle.coefficients,
-            F_u_max=act.F_u_max,
-            F_r_max=act.F_r_max,
-            response=Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
+            response=response,
             error_scale=self.error_scale,
             rate_weight=self.rate_weight,
             lost_distance=self.lost_distance,
-            thrust_u=act.F_u_max * episode.effectiveness[0],
-            thrust_r=act.F_r_max * episode.effectiveness[1],
             parts=parts,
             own=tuple(x for effect in parts.effects for x in effect.constants(self, episode)),
+            **{f"F_{c}_max": limit for c, limit in limits.items()},
+            **{f"thrust_{c}": limits[c] * share for c, share in channels},
         )
+        return constants
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as plain dicts, lists, numbers and strings, without fields that have their default.
@@ -427,6 +468,16 @@ def _planner(
     return Planner(vehicle, times, limits, fin, reference_bounds(bound_factor))
 
 
+@lru_cache(maxsize=64)
+def _space_planner(
+    vehicle: SpaceVehicle, control_dt: float, steps: int, limits: Limits, bound_factor: int
+) -> SpacePlanner:
+    from auv_gym.planning.space import SpacePlanner
+
+    times: Array = control_dt * np.arange(steps + 1, dtype=np.float64)
+    return SpacePlanner(vehicle, times, limits, reference_bounds(bound_factor, SPACE.layout))
+
+
 def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
 
@@ -463,10 +514,23 @@ def path_record(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: its class is not in `auv_gym.planning.paths.PATHS`.
     """
-    family = next((name for name, cls in PATHS.items() if type(path) is cls), None)
+    families = PATHS | SPACE_PATHS
+    family = next((name for name, cls in families.items() if type(path) is cls), None)
     if family is None:
         raise ValueError(f"{type(path).__name__} is not in auv_gym.planning.paths.PATHS, so it cannot be written")
-    return {"family": family, **to_record(path)}
+    record = {"family": family, **to_record(path)}
+    if isinstance(path, WithHeight):
+        kind = next(name for name, cls in HEIGHTS.items() if type(path.height) is cls)
+        record |= {"path": path_record(path.path), "height": {"kind": kind, **to_record(path.height)}}
+    return record
+
+
+def _height_from(record: Any) -> Any:
+    """Return the height of a dict with its kind, see `path_record`."""
+    kind = record.get("kind") if isinstance(record, Mapping) else None
+    if kind not in HEIGHTS:
+        raise ValueError(f"path height is {record!r}; it must be a table with a kind, one of {', '.join(HEIGHTS)}")
+    return from_record(HEIGHTS[kind], {key: x for key, x in record.items() if key != "kind"}, f"height {kind}")
 
 
 def path_from(record: Any) -> Any:
@@ -482,6 +546,8 @@ def path_from(record: Any) -> Any:
     whole = (name for name, cls in PATHS.items() if {f.name for f in fields(cls)} == {*rest})
     if (family := rest.pop("family", None) or next(whole, None)) is None:
         return from_record(RandomPath, rest, "path")
-    if not isinstance(family, str) or family not in PATHS:
-        raise ValueError(f"unknown path family {family!r}{meant(family, PATHS)}; allowed are {', '.join(PATHS)}")
-    return from_record(PATHS[family], rest, f"path {family}")
+    families = PATHS | SPACE_PATHS
+    if not isinstance(family, str) or family not in families:
+        raise ValueError(f"unknown path family {family!r}{meant(family, families)}; allowed are {', '.join(families)}")
+    special = {"path": path_from, "height": _height_from} if family == "with_height" else None
+    return from_record(families[family], rest, f"path {family}", special)

@@ -112,6 +112,7 @@ class Model:
         over_ground: returns the state with velocities over ground, from (state, current, ns).
         errors: returns the tracking errors, as `errors.tracking_errors`.
         terms: returns the terms of an observation, from (errors, measured state, reference, limits, action, dt, ns).
+        displaced: returns a displacement in the world along the measured body axes, from (it, observation, ns).
     """
 
     name: str
@@ -131,6 +132,7 @@ class Model:
     over_ground: Callable[..., Any]
     errors: Callable[..., Any]
     terms: Callable[..., tuple[Number, ...]]
+    displaced: Callable[..., tuple[Number, ...]]
 
     @cached_property
     def state(self) -> tuple[str, ...]:
@@ -227,6 +229,11 @@ def _terms(
     return e_x, e_y, psi_e, u_e, v_e, r_e, *reference[3:], cos_psi, sin_psi, *limits, *action, dt
 
 
+def _displaced(ahead: Sequence[Number], o: Observation, _: Namespace) -> tuple[Number, ...]:
+    x, y = ahead
+    return to_body(x, y, o.cos_psi, o.sin_psi)
+
+
 PLANE = Model(
     name="plane",
     Plant=Plant,
@@ -245,5 +252,6 @@ PLANE = Model(
     over_ground=_over_ground,
     errors=tracking_errors,
     terms=_terms,
+    displaced=_displaced,
 )
 """Motion in the horizontal plane."""

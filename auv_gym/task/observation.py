@@ -67,6 +67,7 @@ class Layout:
     clipped: int  # number of the first terms that are clipped; the others are within their bounds by construction
     limits: tuple[int, ...]  # indices of the limits of the channels
     last: tuple[int, ...]  # indices of the previous action
+    named: Any  # makes the NamedTuple of the terms from a sequence
 
     @classmethod
     def of(cls, observation: Any) -> Layout:
@@ -80,12 +81,22 @@ class Layout:
         limits = (i for i, name in enumerate(names) if name.endswith("_max"))
         last = (i for i, name in enumerate(names) if name.startswith("a_"))
         terms = (Term(name, *hint.__metadata__) for name, hint in hints.items())
-        return cls(tuple(terms), clipped, tuple(limits), tuple(last))
+        return cls(tuple(terms), clipped, tuple(limits), tuple(last), observation._make)
 
     @cached_property
     def positive(self) -> list[int]:
         """Indices of the limits and of the control period, which are positive in a valid observation."""
         return [*self.limits, [term.name for term in self.terms].index("dt")]
+
+    @cached_property
+    def axes(self) -> int:
+        """Number of axes of the position."""
+        return sum(term.name in ("e_x", "e_y", "e_z") for term in self.terms)
+
+    @cached_property
+    def velocity(self) -> list[int]:
+        """Indices of the reference velocities u_R, v_R, in space w_R."""
+        return [i for i, term in enumerate(self.terms) if term.name in ("u_R", "v_R", "w_R")]
 
     @cached_property
     def size(self) -> int:
@@ -164,19 +175,9 @@ def encode_observation(terms: Sequence[float], bound_factor: int = 1) -> NDArray
     return observation
 
 
-def decode_observation(observation: NDArray[Any]) -> Observation:
-    """Return the physical terms of an observation of shape (SIZE,) as floats, or of (N, SIZE) as arrays (N,).
-
-    It is exact except for clipped terms. Further columns, such as those of the residual environment, are ignored.
-
-    Raises:
-        ValueError: see `Layout.terms_of`.
-    """
-    return Observation._make(decoded_terms(observation))
-
-
-def reference_bounds(bound_factor: int) -> list[float]:
-    """Return the largest |u|, |v|, |r|, |F_u|, |F_r| of a reference within the `bounds`, in SI units."""
-    first, end = map(Observation._fields.index, ("u_R", "cos_psi"))
-    most: list[float] = (bounds(bound_factor) * SCALES)[first:end].tolist()
+def reference_bounds(bound_factor: int, layout: Layout = PLANE_LAYOUT) -> list[float]:
+    """Return the largest velocities and forces of a reference within the `bounds`, in SI units: u, v, r, F_u, F_r."""
+    names = [term.name for term in layout.terms]
+    first, end = names.index("u_R"), names.index("F_rR") + 1
+    most: list[float] = (layout.bounds(bound_factor) * layout.scales)[first:end].tolist()
     return most

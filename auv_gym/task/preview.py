@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices, Namespace, Number
 from auv_gym.planning.paths import Path, evaluate_paths
+from auv_gym.planning.paths.space import SpacePath
 from auv_gym.task.model import PLANE, Model
-from auv_gym.task.observation import PLANE_LAYOUT, SIZE, L, Layout, Observation
+from auv_gym.task.observation import PLANE_LAYOUT, L, Layout
 
 _FARTHEST = 1000
 """Largest number of control periods of a preview."""
@@ -34,45 +34,48 @@ def checked_preview(preview: Any) -> tuple[int, ...]:
     return tuple(map(int, periods))
 
 
-def shared_preview(mine: Sequence[int], theirs: Sequence[int]) -> tuple[tuple[int, ...], list[int], list[int]]:
-    """Return the union of two previews, and the columns of each in it."""
+def shared_preview(
+    mine: Sequence[int], theirs: Sequence[int], axes: int = 2
+) -> tuple[tuple[int, ...], list[int], list[int]]:
+    """Return the union of two previews, and the columns of each in it; each time has one for each of the axes."""
     preview = tuple(sorted({*mine, *theirs}))
     mine_of, theirs_of = (
-        [column for n in periods for column in (2 * preview.index(n), 2 * preview.index(n) + 1)]
-        for periods in (mine, theirs)
+        [axes * preview.index(n) + k for n in periods for k in range(axes)] for periods in (mine, theirs)
     )
     return preview, mine_of, theirs_of
 
 
-def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
+def columns_behind(rows: NDArray[Any], preview: Sequence[int], layout: Layout = PLANE_LAYOUT) -> NDArray[Any]:
     """Return the columns of observations, shape (N, n), after the terms: those of a preview, and further ones.
 
     Raises:
         ValueError: there are fewer columns than those of the preview.
     """
-    extra = rows[:, SIZE:]
-    if extra.shape[1] < 2 * len(preview):
+    extra, needed = rows[:, layout.size :], layout.axes * len(preview)
+    if extra.shape[1] < needed:
         raise ValueError(
             f"the observation has {extra.shape[1]} columns after its terms, the policy needs a preview of "
-            f"{2 * len(preview)}: make the environment with preview=policy.preview"
+            f"{needed}: make the environment with preview=policy.preview"
         )
     return extra
 
 
-def observation_bounds(preview: tuple[int, ...], bound_factor: int, layout: Layout = PLANE_LAYOUT) -> Array:
-    """Return the bounds of an observation with a preview, shape (size + 2 P,); see `Layout.bounds`."""
-    return np.append(layout.bounds(bound_factor), np.full(2 * len(preview), L * bound_factor))
+def observation_bounds(preview: tuple[int, ...], bound_factor: int, model: Model = PLANE) -> Array:
+    """Return the bounds of an observation with a preview of P times, shape (size + axes P,); see `Layout.bounds`."""
+    further = len(model.position) * len(preview)
+    return np.append(model.layout.bounds(bound_factor), np.full(further, L * bound_factor))
 
 
 class Preview:
     """Future positions of the references of N sub-environments, P control periods ahead.
 
-    The columns of a preview are, for each of its times, the displacement x, y [m] of the reference from now to this
-    time, along the measured body axes. The scale is 1, the bound is `L` times the bound factor, see `bounds`. After the
-    last instant of an episode the path continues. After the end of a path the reference has its last velocity.
+    The columns of a preview are, for each of its times, the displacement [m] of the reference from now to this time
+    along the measured body axes, two numbers in the plane and three in space. The scale is 1, the bound is `L` times
+    the bound factor, see `bounds`. After the last instant of an episode the path continues. After the end of a path the
+    reference has its last velocity.
     """
 
-    def __init__(self, num_envs: int, periods: Sequence[int], steps: int) -> None:
+    def __init__(self, num_envs: int, periods: Sequence[int], steps: int, axes: int = 2) -> None:
         """Allocate memory for sub-environments whose episodes have up to `steps` control steps.
 
         Raises:
@@ -81,12 +84,12 @@ class Preview:
         self.periods = checked_preview(periods)
         self._ahead = np.array(self.periods, dtype=np.int64)
         self._instants, self._last = steps + 1 + max(self.periods, default=0), steps
-        self._positions = np.zeros((num_envs if self.periods else 0, self._instants, 2))
+        self._positions = np.zeros((num_envs if self.periods else 0, self._instants, axes))
 
     @property
     def columns(self) -> int:
         """Number of columns added to an observation."""
-        return 2 * len(self.periods)
+        return self._positions.shape[-1] * len(self.periods)
 
     def load(self, indices: Sequence[int] | Indices, paths: Sequence[Path], dt: float, tables: Sequence[Array]) -> None:
         """Load new episodes: their paths, control period [s] and reference tables, which have the same length."""
@@ -94,11 +97,11 @@ class Preview:
             return
         known = len(tables[0])
         times: Array = dt * np.arange(known, self._instants, dtype=np.float64)
-        self._positions[indices, :known] = [table[:, :2] for table in tables]
+        self._positions[indices, :known] = [table[:, : self._positions.shape[-1]] for table in tables]
         self._positions[indices, known:] = _positions(paths, times)
 
     def ahead(self, indices: Sequence[int] | Indices, k: int | Indices) -> Array:
-        """Return the displacements in the world [m] of n sub-environments from control step k on, shape (P, 2, n).
+        """Return the displacements in the world [m] of n sub-environments from control step k on, shape (P, axes, n).
 
         After the last control step, while an episode that has ended waits for its reset, they are those of that step.
         """
@@ -109,29 +112,33 @@ class Preview:
 
 
 def with_preview(rows: Array, ahead: Array, bound_factor: int, model: Model = PLANE) -> Array:
-    """Return observations with their previews, a new array (size + 2 P, n).
+    """Return observations with their previews, a new array (size + axes P, n).
 
     Args:
         rows: the observations, shape (size, n) or more rows.
-        ahead: displacements in the world [m], see `Preview.ahead`, shape (P, 2, n).
+        ahead: displacements in the world [m], see `Preview.ahead`, shape (P, axes, n).
         bound_factor: see `Layout.bounds`.
         model: of the observations.
     """
     o = model.Observation._make(model.layout.decode(rows[: model.layout.size], ARRAYS))
-    return np.vstack((rows, *preview_columns([*ahead.reshape(2 * len(ahead), -1)], o, ARRAYS, bound_factor)))
+    flat = [*ahead.reshape(-1, ahead.shape[-1])]
+    return np.vstack((rows, *preview_columns(flat, o, ARRAYS, bound_factor, model)))
 
 
-def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, bound_factor: int) -> tuple[Number, ...]:
+def preview_columns(
+    ahead: Sequence[Number], o: Any, ns: Namespace, bound_factor: int, model: Model = PLANE
+) -> tuple[Number, ...]:
     """Return the columns of a preview as components, for displacements x, y, x, y, ... [m] of any numbers."""
-    pairs = zip(ahead[::2], ahead[1::2], strict=True)
-    far = L * bound_factor
-    return tuple(ns.clip(z, -far, far) for x, y in pairs for z in to_body(x, y, o.cos_psi, o.sin_psi))
+    axes, far = len(model.position), L * bound_factor
+    each = (model.displaced(ahead[k : k + axes], o, ns) for k in range(0, len(ahead), axes))
+    return tuple(ns.clip(x, -far, far) for displacement in each for x in displacement)
 
 
-def _positions(paths: Sequence[Path], t: Array) -> Array:
-    """Return the positions [m] of N paths at T times, shape (N, T, 2)."""
-    out = np.empty((len(paths), len(t), 2))
-    endless = [i for i, path in enumerate(paths) if path.end >= t[-1]]
+def _positions(paths: Sequence[Any], t: Array) -> Array:
+    """Return the positions [m] of N paths at T times, shape (N, T, axes)."""
+    out = np.empty((len(paths), len(t), 3 if isinstance(paths[0], SpacePath) else 2))
+    planar = not isinstance(paths[0], SpacePath)
+    endless = [i for i, path in enumerate(paths) if path.end >= t[-1] and planar]
     if endless:
         out[endless] = evaluate_paths([paths[i] for i in endless], t)[0].transpose(2, 1, 0)
     for i in set(range(len(paths))) - set(endless):

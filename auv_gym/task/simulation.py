@@ -47,7 +47,7 @@ class Parts(NamedTuple):
     @property
     def places(self) -> Places:
         """The places of the rows of the effects."""
-        return places_of(self.effects, len(self.model.channels))
+        return places_of(self.effects, self.model.state, len(self.model.channels))
 
     @property
     def plant_rows(self) -> int:
@@ -133,7 +133,7 @@ class _Effects:
         self.noise: Any = sample[p.parts.model.noise_rows]
         self.squared_error: Number = 0.0
         self._memory: dict[type[Effect], Any] = {}
-        self._last = Measured(*(None,) * 6)
+        self._last = Measured()
         if memory is not None:
             places = p.parts.places
             self._memory = {e: made_of(e, "Memory", memory[place]) for e, place in places.memory.items()}
@@ -146,8 +146,8 @@ class _Effects:
             inputs = effect.Inputs(*self._sample[model.sample_rows :][parts.places.inputs[effect]])
             at = At(
                 constants_of(p, effect), inputs, state, before, self.action, self._last_action, self._last, self.noise,
-                p.coefficients, model.limits(p), p.h * parts.substeps, self._begins, model.channels, self._ns,
-                self.squared_error,
+                p.coefficients, model.limits(p), p.h * parts.substeps, self._begins, model.channels, model.state,
+                self._ns, self.squared_error,
             )  # fmt: skip
             try:
                 value, self._memory[effect] = act(effect, point, value, self._memory.get(effect), at)

@@ -20,18 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.records import from_record, guarded, to_record
-from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
-from auv_gym.task.observation import TERMS
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.model_card import CURVE_FILE, model_card
-from baselines.agents.names import PolicyName, agent_folder, shipped_agents
+from baselines.agents.names import PolicyName, agent_folder, is_in_space, shipped_agents
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
+from baselines.agents.space_features import SpaceInputs
 from baselines.control import POLICIES, make_controller
 from baselines.control.open_loop import NO_EXPERT, Zero
+from baselines.space import make_in_space
 from baselines.tools.files import read_bytes, read_json, synchronise, write_atomically
 
 _FORMAT = 3
@@ -41,7 +43,6 @@ AGENT_FILE = "agent.json"  # file of everything else, see `ENTRIES`
 _SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
 """Reference speeds [m/s] for which agents of a speed range are trained; both cover 0.2 to 0.5 m/s."""
 CARD = "card.md"  # file of the description
-OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # name and scale of each term of an observation
 ENTRIES = (
     "format", "network", "inputs", "features", "observation", "expert", "authority", "scenarios", "weights_sha256",
     "training",
@@ -61,20 +62,22 @@ class Agent:
     network: Network
     weights: Weights  # see `network.shapes`
     expert: str  # the name of a policy, or `NO_EXPERT`
-    authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
+    authority: tuple[float, ...]  # largest correction of each channel, fractions of the limits
     scenarios: tuple[str, ...] = ()  # names of the training scenarios
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
-    inputs: Inputs = STANDARD
+    inputs: Inputs | SpaceInputs = STANDARD
     whole_model: bool = False  # the expert is made for limits and lag of the vehicle too, not for its parameters only
 
     def __post_init__(self) -> None:
         if self.network.inputs != (features := len(self.inputs.features)):
             raise ValueError(f"the network has {self.network.inputs} inputs; there are {features} features")
         check_expert(self.expert)
-        object.__setattr__(self, "authority", checked_authority(self.authority))
+        object.__setattr__(self, "authority", checked_authority(self.authority, len(self.inputs.model.channels)))
         check_weights(self.network, self.weights)
 
-    def policy(self, vehicle: Vehicle | VehicleModel | None = None, precision: str = "float64") -> Policy:
+    def policy(
+        self, vehicle: Vehicle | VehicleModel | SpaceVehicle | None = None, precision: str = "float64"
+    ) -> Policy:
         """Return the policy: expert plus correction of the network.
 
         Args:
@@ -83,9 +86,17 @@ class Agent:
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:
-            ValueError: see `make_expert`.
+            ValueError: see `make_expert`; or the agent is one in space and the vehicle in the plane, or reversed.
         """
-        known = as_vehicle(vehicle or PAPER_VEHICLE)
+        in_space = isinstance(self.inputs, SpaceInputs)
+        if vehicle is not None and in_space != isinstance(vehicle, SpaceVehicle):
+            raise ValueError(f"the agent was trained in {'space' if in_space else 'the plane'}, the scenario is not")
+        if in_space:
+            steered: Any = vehicle or PAPER.in_space
+            return ResidualPolicy(
+                make_in_space(self.expert, steered), self.network, self.weights, self.authority, self.inputs, precision
+            )
+        known = as_vehicle(vehicle or PAPER_VEHICLE)  # type: ignore[arg-type]
         expert = make_expert(self.expert, vehicle=vehicle if self.whole_model else known)
         ranges = {name.partition("-")[0] for name in self.scenarios}
         speeds = _SPEEDS[ranges.pop()] if len(ranges) == 1 and ranges <= set(_SPEEDS) else (0.0, math.inf)
@@ -123,7 +134,7 @@ class Agent:
             "network": network_record(self.network),
             "inputs": to_record(self.inputs),
             "features": feature_layout(self.inputs),
-            "observation": OBSERVATION_LAYOUT,
+            "observation": observation_layout(self.inputs),
             "expert": self.expert,
             "authority": list(self.authority),
             "scenarios": list(self.scenarios),
@@ -150,10 +161,10 @@ class Agent:
                 network_of(record["network"]),
                 _weights(data),
                 record["expert"],
-                _pair(record["authority"]),
+                _numbers(record["authority"]),
                 tuple(record["scenarios"]),
                 record["training"],
-                from_record(Inputs, record["inputs"], "inputs"),
+                _inputs_of(record),
                 record.get(WHOLE_MODEL, False),
             )
 
@@ -166,7 +177,7 @@ def check_expert(name: Any) -> None:
         raise ValueError(f"expert {name!r} needs full information; choose one that uses the observation only")
 
 
-def make_expert(name: str, vehicle: Vehicle | VehicleModel | None = None) -> Policy:
+def make_expert(name: str, vehicle: Vehicle | VehicleModel | SpaceVehicle | None = None) -> Policy:
     """Return the expert of a name: a controller, an agent, or for `NO_EXPERT` a policy whose action is zero.
 
     Args:
@@ -178,6 +189,8 @@ def make_expert(name: str, vehicle: Vehicle | VehicleModel | None = None) -> Pol
         ValueError: the name is unknown, or the policy may not be an expert: a path, or one that needs full information.
     """
     check_expert(name)
+    if isinstance(vehicle, SpaceVehicle):
+        return make_in_space(name, vehicle)
     if name == NO_EXPERT:
         return Zero()
     if (folder := agent_folder(name)) is not None:
@@ -185,7 +198,19 @@ def make_expert(name: str, vehicle: Vehicle | VehicleModel | None = None) -> Pol
     return make_controller(name, vehicle)
 
 
-def feature_layout(inputs: Inputs) -> list[list[str]]:
+def observation_layout(inputs: Inputs | SpaceInputs) -> list[list[Any]]:
+    """Return name and scale of each term of the observation, as in an agent's description."""
+    return [[t.name, t.scale] for t in inputs.model.layout.terms]
+
+
+def _inputs_of(record: Mapping[str, Any]) -> Inputs | SpaceInputs:
+    """Return the inputs of a description; the terms of its observation tell whether they are those in space."""
+    kind: Any = SpaceInputs if is_in_space(record) else Inputs
+    inputs: Inputs | SpaceInputs = from_record(kind, record["inputs"], "inputs")
+    return inputs
+
+
+def feature_layout(inputs: Inputs | SpaceInputs) -> list[list[str]]:
     """Return name and scale of each feature, as in an agent's description."""
     return [[f.name, f.scale] for f in inputs.features]
 
@@ -196,8 +221,8 @@ def _checked_record(record: Any) -> dict[str, Any]:
         raise ValueError(f"{AGENT_FILE} must have the entries {', '.join(ENTRIES)}, and no others")
     if record["format"] != _FORMAT:
         raise ValueError(f"its format is {record['format']!r}; this version reads {_FORMAT}")
-    features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
-    for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
+    inputs = _inputs_of(record)
+    for name, layout in (("features", feature_layout(inputs)), ("observation", observation_layout(inputs))):
         if record[name] != layout:
             raise ValueError(f"it was trained with other {name} than those of this version; train it again")
     if record.get(WHOLE_MODEL, True) is not True:
@@ -209,11 +234,10 @@ def _checked_record(record: Any) -> dict[str, Any]:
     return record
 
 
-def _pair(value: Any) -> tuple[float, float]:
+def _numbers(value: Any) -> tuple[float, ...]:
     if not isinstance(value, list):
-        raise ValueError(f"authority is {value!r}; it must be a list of two numbers")
-    surge, yaw = checked_authority(value)
-    return surge, yaw
+        raise ValueError(f"authority is {value!r}; it must be a list of numbers")
+    return tuple(value)
 
 
 def _weights(data: bytes) -> dict[str, NDArray[np.float32]]:

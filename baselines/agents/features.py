@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.task.model import PLANE, Model
 from auv_gym.task.observation import Observation
 from auv_gym.task.preview import checked_preview
 from baselines.agents import filters
@@ -90,6 +91,7 @@ class Inputs:
         ValueError: see `auv_gym.task.preview.checked_preview`; or another entry is not a bool.
     """
 
+    model: ClassVar[Model] = PLANE
     preview: tuple[int, ...] = ()  # control periods ahead
     integrals: bool = True  # include the integrals of the position error
     fine: bool = False  # include the errors on finer scales

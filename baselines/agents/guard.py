@@ -21,7 +21,8 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import as_vehicle
-from auv_gym.task.observation import SIZE, Observation, decode_observation
+from auv_gym.task.decoding import decode_observation
+from auv_gym.task.observation import SIZE, Observation
 from auv_gym.task.policy import Policy, preview_of
 from auv_gym.task.preview import shared_preview
 from baselines.agents.residual_policy import ResidualPolicy

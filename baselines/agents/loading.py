@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from auv_gym.installation import install
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy
@@ -23,6 +24,7 @@ from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, vehicle_option
 from baselines.gains.loading import recorded_gains
 from baselines.scaling import scaled_for
+from baselines.space import make_in_space
 from baselines.tools.command_line import described
 from baselines.tools.files import read_bytes, read_json
 
@@ -59,6 +61,10 @@ def load_policy(name: PolicyName, vehicle: Any = None, **options: Any) -> Policy
     allowed = ("authority",) if kind == "sb3" else ()
     if unknown := [option for option in options if option not in allowed]:
         raise ValueError(f"policy {base!r} takes no option {unknown[0]!r}; it has {', '.join(allowed) or 'no options'}")
+    if isinstance(vehicle, SpaceVehicle) and kind in ("program", "onnx", "sb3"):
+        raise ValueError(
+            f"policy {base!r} is for motion in the plane; in space use FILE.py:FACTORY or an agent's folder"
+        )
     if kind == "program":
         return ProgramPolicy(base.removeprefix(COMMAND), None if vehicle is None else as_vehicle(vehicle))
     if kind == "onnx":
@@ -77,6 +83,8 @@ def _tuned(file: Path, vehicle: Any) -> Policy:
         name, gains = record["controller"], record["gains"]
         if name not in recorded_gains()["tuned"]:
             raise ValueError(f"its controller is {name!r}")
+        if isinstance(vehicle, SpaceVehicle):
+            return make_in_space(name, vehicle, gains=gains)
         return make_controller(name, vehicle, gains=gains)
 
 

@@ -10,7 +10,7 @@ from baselines.control.open_loop import NO_EXPERT
 CURVE_FILE = "learning_curve.png"  # file beside the card
 _TEXT = """# {name}
 
-A network that {role}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It controls the
+A network that {role}, by at most {surge:g} of the surge limit and {yaw:g} of the {turn} limit. It controls the
 underactuated vehicle of `auv_gym` along a reference from noisy measurements.
 
 | | |
@@ -33,7 +33,8 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
         record: its description, the contents of `agent.json`.
         curve: whether the folder has a learning curve.
     """
-    training, (surge, yaw) = record["training"], record["authority"]
+    training, (surge, *others) = record["training"], record["authority"]
+    yaw, turn = others[-1], "yaw" if len(others) == 1 else "pitch and yaw"
     config = training.get("config", {})
     known = training | {key: config[key] for key in ("hyperparameters", "timesteps", "seed") if key in config}
     facts = {"network": record["network"], "trained on": ", ".join(record["scenarios"]) or "not recorded"}
@@ -43,7 +44,7 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
     facts["SHA-256 of the weights"] = record["weights_sha256"]
     rows = "\n".join(f"| {key} | {_text(value)} |" for key, value in facts.items())
     role = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
-    text = _TEXT.format(name=name, role=role, surge=surge, yaw=yaw, facts=rows)
+    text = _TEXT.format(name=name, role=role, surge=surge, yaw=yaw, turn=turn, facts=rows)
     return f"{text}\n![Score on validation episodes over control steps]({CURVE_FILE})\n" if curve else text
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 """Folder of the agents that ship with the package, one folder each."""
@@ -49,9 +51,15 @@ class PolicyName(NamedTuple):
         return agent_folder(self.base)
 
 
-def shipped_agents() -> list[str]:
-    """Return the names of the agents in `SHIPPED_FOLDER`."""
-    return sorted(file.parent.name for file in SHIPPED_FOLDER.glob("*/agent.json"))
+def shipped_agents(space: bool | None = None) -> list[str]:
+    """Return the names of the agents in `SHIPPED_FOLDER`: those of motion in space, those of the plane, or all."""
+    files = sorted(SHIPPED_FOLDER.glob("*/agent.json"))
+    return [file.parent.name for file in files if space is None or is_in_space(json.loads(file.read_bytes())) == space]
+
+
+def is_in_space(record: Mapping[str, Any]) -> bool:
+    """Return whether the record agent.json is that of an agent for motion in space."""
+    return any(name == "e_z" for name, _ in record["observation"])
 
 
 def agent_folder(name: str) -> Path | None:

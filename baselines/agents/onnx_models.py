@@ -1,8 +1,9 @@
 """Policies as ONNX models from any framework. ONNX Runtime runs them on one thread; they cannot run other code.
 
-Inputs: `observation`, shape (batch, 18 + 2 P), and arrays of memory (batch, ...), zero at the start of an episode.
-Outputs: `action`, shape (batch, 2), and for each memory `NAME` its next value `next_NAME`. The metadata entry `preview`
-lists the P times of the preview in control periods ahead, such as "10, 20".
+Inputs: `observation`, shape (batch, 18 + 2 P), in space (batch, 31 + 3 P), and arrays of memory (batch, ...), zero at
+the start of an episode. Outputs: `action`, shape (batch, 2), in space (batch, 3), and for each memory `NAME` its next
+value `next_NAME`. The metadata entry `preview` lists the P times of the preview in control periods ahead, such as
+"10, 20".
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.scenarios.records import guarded
-from auv_gym.task.observation import SIZE
+from auv_gym.task.observation import PLANE_LAYOUT
 from auv_gym.task.preview import checked_preview
+from auv_gym.task.space import SPACE
 from baselines.policy import Batched, Memory, Starts, renewed
 from baselines.tools.files import read_bytes
 
@@ -59,13 +61,15 @@ class OnnxModel(Batched):
             self._types, self._sizes = {}, {}
             for name, value in inputs.items():
                 self._types[name], self._sizes[name] = _type_and_shape(name, value)
-            width = (SIZE + 2 * len(self.preview),)
-            if self._sizes["observation"] != width:
+            given, times = self._sizes["observation"], len(self.preview)
+            widths = {(layout.size + layout.axes * times,): layout for layout in (PLANE_LAYOUT, SPACE.layout)}
+            if given not in widths:
                 raise ValueError(
-                    f"its observation has shape {self._sizes['observation']}; it must be {width}, with two columns for "
-                    "each time in its metadata entry preview"
+                    f"its observation has shape {given}; it must be {' or '.join(map(str, widths))}, with two columns "
+                    "for each time in its metadata entry preview, in space with three"
                 )
-            self.predict(np.ones((2, *width)))
+            self.layout = widths[given]
+            self.predict(np.ones((2, *given)))
 
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
@@ -82,7 +86,10 @@ class OnnxModel(Batched):
         inputs = {"observation": rows[:, :width].astype(self._types["observation"])}
         with guarded("the ONNX model fails"):
             action, *after = self._session.run(self._outputs, inputs | dict(zip(self._memory, memory, strict=True)))
-        if any(a.shape != b.shape for a, b in zip((action, *after), (np.empty((n, 2)), *initial), strict=True)):
+        if any(
+            a.shape != b.shape
+            for a, b in zip((action, *after), (np.empty((n, len(self.layout.last))), *initial), strict=True)
+        ):
             shapes = [a.shape for a in (action, *after)]
             raise ValueError(f"the ONNX model returns arrays of shapes {shapes} for {n} observations")
         return action.astype(np.float32), tuple(after)

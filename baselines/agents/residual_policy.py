@@ -14,11 +14,11 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle, with_names
-from auv_gym.task.observation import SIZE, action_of, decode
 from auv_gym.task.policy import Law, Policy, corrected, preview_of, traceable
 from auv_gym.task.preview import shared_preview
 from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.networks import OUTPUTS, Network, Weights
+from baselines.agents.space_features import SpaceInputs
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
 from baselines.scaling import shown_factors
 
@@ -29,7 +29,7 @@ _Symbols = Sequence[Symbol]
 
 @lru_cache(maxsize=64)
 def feature_kernel(
-    inputs: Inputs,
+    inputs: Inputs | SpaceInputs,
     law: Law | None,
     vehicle: Vehicle = PAPER_VEHICLE,
     units: Units = Units(),  # noqa: B008, it is frozen
@@ -45,41 +45,44 @@ def feature_kernel(
         vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         units: in which the features are computed from an observation in SI units. By default nothing is scaled.
     """
-    factors, model = () if units == Units() else shown_factors(units), with_names(vehicle.all_coefficients)
+    layout = inputs.model.layout
+    factors = () if units == Units() else shown_factors(units, layout)
+    model, channels = with_names(vehicle.all_coefficients), len(inputs.model.channels)
 
     def equation(
         observation: _Symbols, ahead: _Symbols, correction: _Symbols, integrals: _Symbols, base: _Symbols = ()
     ) -> Mapping[str, _Symbols]:
-        o = decode(observation, SYMBOLS)
+        o = layout.decode(observation, SYMBOLS)
         if factors:
             o = [term * factor for term, factor in zip(o, factors, strict=True)]
             ahead = [distance * (1 / units.length) for distance in ahead]
         if law is not None:
-            base = [single(a) for a in action_of(law.forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
+            base = [single(a) for a in layout.action_of(law.forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
         features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, model)
         return {"terms": o, "features": features, "integrals": sums, "base": base}
 
-    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": OUTPUTS, "integrals": inputs.memory}
-    rows = rows if law is not None else rows | {"base": OUTPUTS}
+    rows = {"observation": layout.size, "ahead": layout.axes * len(inputs.preview)}
+    rows |= {"correction": channels, "integrals": inputs.memory}
+    rows = rows if law is not None else rows | {"base": channels}
     return Kernel.traced(equation, rows, blocked=inputs.filters)
 
 
-@lru_cache(maxsize=1)
-def command_kernel() -> Kernel:
+@lru_cache(maxsize=2)
+def command_kernel(channels: int = OUTPUTS) -> Kernel:
     """Return the kernel of `corrected`, whose result is in single precision, as the actions of all policies."""
 
     def equation(base: _Symbols, authority: _Symbols, correction: _Symbols) -> Mapping[str, _Symbols]:
         rule = zip(base, authority, correction, strict=True)
         return {"command": [single(corrected(b, a, c, SYMBOLS)) for b, a, c in rule]}
 
-    return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), OUTPUTS))
+    return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), channels))
 
 
 class _Buffers:
     """Arrays for n vehicles, and the kernels that read and write them."""
 
     def __init__(self, n: int, features: Kernel) -> None:
-        command = command_kernel()
+        command = command_kernel(features.rows["correction"])
         rows = features.rows | command.rows
         self.arrays = {name: np.zeros((size, n)) for name, size in rows.items()}
         self.compute_features = features.bound(**{name: self.arrays[name] for name in features.rows})
@@ -103,8 +106,8 @@ class ResidualPolicy(Batched):
         expert: Policy,
         network: Network,
         weights: Weights,
-        authority: tuple[float, float],
-        inputs: Inputs = STANDARD,
+        authority: tuple[float, ...],
+        inputs: Inputs | SpaceInputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = ALL_SPEEDS,
         vehicle: Vehicle = PAPER_VEHICLE,
@@ -122,8 +125,10 @@ class ResidualPolicy(Batched):
             vehicle: the nominal one, in the paper's units, see `Inputs.update`.
         """
         self.speeds = speeds
-        self.inputs = inputs
-        self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
+        self.inputs, self.layout = inputs, inputs.model.layout
+        self.preview, self._seen, self._seen_by_expert = shared_preview(
+            inputs.preview, preview_of(expert), self.layout.axes
+        )
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
@@ -144,13 +149,14 @@ class ResidualPolicy(Batched):
         integrals, correction, hidden = self._renewed(state, n, episode_start)
         buffers = self._buffers_for(n)
         arrays = buffers.arrays
-        arrays["observation"][:] = rows[:, :SIZE].T
+        size = self.layout.size
+        arrays["observation"][:] = rows[:, :size].T
         if self._seen:
-            arrays["ahead"][:] = rows[:, SIZE:].T[self._seen]
+            arrays["ahead"][:] = rows[:, size:].T[self._seen]
         arrays["correction"][:], arrays["integrals"][:] = correction.T, integrals.T
         past: Memory | None = state[self.OWN :] if state else ()
         if self._law is None:
-            seen = np.hstack((rows[:, :SIZE], rows[:, SIZE:][:, self._seen_by_expert]))
+            seen = np.hstack((rows[:, :size], rows[:, size:][:, self._seen_by_expert]))
             action, past = self.expert.predict(seen, past or None, episode_start)
             arrays["base"][:] = action.T
         buffers.compute_features(0, 1)
@@ -179,7 +185,7 @@ class ResidualPolicy(Batched):
             return state[: self.OWN]
         initial = (
             np.zeros((n, self.inputs.memory)),
-            np.zeros((n, OUTPUTS)),
+            np.zeros((n, len(self.authority))),
             np.zeros((n, self.network.memory), self.precision),
         )
         return renewed(state and state[: self.OWN], initial, episode_start)

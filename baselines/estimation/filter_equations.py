@@ -1,15 +1,17 @@
 """Equations of the extended Kalman filter on symbols: prediction by the model, correction by the measurements.
 
 The Jacobians are derived symbolically from the model. The state is an `Estimate`, followed by `Faults` in a filter that
-estimates faults. The measurement errors are independent, so the measurements are processed one after the other. The
-result is the same as that of one joint update, and no system of equations must be solved. Only the lower triangle of
-the covariance is computed, so it is always symmetric.
+estimates faults. The equations hold for any kind of motion, see `FilterModel`. The measurement errors are independent,
+so the measurements are processed one after the other. The result is the same as that of one joint update, and no system
+of equations must be solved. Only the lower triangle of the covariance is computed, so it is always symmetric.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from auv_gym.codegen.derivatives import jacobian
@@ -31,20 +33,13 @@ from baselines.estimation.faults import (
     within_bounds,
 )
 from baselines.estimation.sea_model import (
-    BIAS,
-    CURRENT_STATES,
-    FORCE,
-    GUST,
     GUST_MEMORY,
     LONGEST_LAG,
-    MOTION_STATES,
     PLACE,
-    SENSORS,
+    PLANE_SEA,
     SHORTEST_LAG,
     STATE_SIZE,
-    WAVE_PAIRS,
-    WAVES,
-    Estimate,
+    SeaModel,
     mean_load,
     measurement,
     transition,
@@ -53,14 +48,6 @@ from baselines.estimation.sea_model import (
 from baselines.estimation.water_frame import ReferenceMotion, reference_motion
 from baselines.policy import SPEED_FLOOR
 
-FIRST_NOISE = (0.05, 0.05, 0.015, 0.02, 0.02, 0.005)
-"""Initial standard deviations of the measurements x_e, y_e [m], psi [rad], u, v [m/s], r [rad/s]. They are used until
-there are enough measurements to estimate them."""
-LEAST_NOISE = (1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5)
-"""Lower bounds of the estimated standard deviations, in the same order and units."""
-FINE_NOISE = tuple(0.4 * deviation for deviation in FIRST_NOISE)
-"""Standard deviations, in the same order and units, below which a measurement has less weight in the choice between the
-filters for rough and for calm water. With precise sensors the filter for rough water is accurate in calm water too."""
 NOISE_MEMORY = 5.0  # [s] averaging time of the noise variances
 POSE_DRIFT = 1e-5  # process noise of position [m] and heading [rad] after one second
 FORCE_DRIFT = 1e-3  # process noise of the actuators' forces after one second, as a share of their limits
@@ -75,49 +62,19 @@ FIRST_SWAY = 0.3  # sway velocity over the reference's speed
 FIRST_CURRENT = 0.3  # current on each axis over the reference's speed
 FIRST_BIAS = 0.2  # slowly varying load, in the units of `Tuning`
 
+_FIX = 2  # number of measurements that a position fix gives: x and y; in space the depth has its own sensor
 _LEAST_MOTION = 1e-4  # [m] smaller changes of a measured position in a period mean that there was no new fix
 FIT_MEMORY = 20.0  # [s] averaging time of the log-likelihood
 
 _Matrix = Sequence[Sequence[Any]]
 
 
-class Belief(NamedTuple):
-    """Memory of a filter, as rows."""
-
-    count: Any  # number of updates so far, 1 row
-    state: Any  # an `Estimate`, then `Faults` if the filter estimates them
-    covariance: Any  # lower triangle of the state's covariance, row by row
-    motion: Any  # velocity [m/s] and acceleration [m/s^2] of the reference in the world, 4 rows
-    fix: Any  # last measured x_e, y_e [m]
-    past: Any  # last three measurements, each plus the motion that the model has predicted since then
-    noise: Any  # variances of the measurements
-    fit: Any  # log-likelihood of the measurements, with exponential forgetting, 1 row
-    actions: Any  # actions before the last one, surge and yaw of each, the latest first
-
-    @classmethod
-    def of(cls, rows: Any, faults: bool = False) -> Belief:
-        """Return the parts of a filter's memory.
-
-        Args:
-            rows: a sequence, or an array whose first axis is that of the rows.
-            faults: whether the filter estimates faults.
-        """
-        sizes = cls.sizes(faults)
-        return cls(*(rows[sum(sizes[:i]) : sum(sizes[: i + 1])] for i in range(len(sizes))))
-
-    @staticmethod
-    def sizes(faults: bool = False) -> Belief:
-        """Return the number of rows of each part."""
-        size = STATE_SIZE + FAULTS * faults
-        return Belief(1, size, size * (size + 1) // 2, 4, 2, 3 * SENSORS, SENSORS, 1, 2 * LATE * faults)
-
-
 class FilterUnits(NamedTuple):
     """Units of the tuning's standard deviations."""
 
     speed: Number  # [m/s]
-    drag: Sequence[Number]  # [N], [N], [N m] for loads in surge, sway and yaw
-    limits: Sequence[Number]  # [N], [N m] limits of the actuators
+    drag: Sequence[Number]  # [N], [N m] of each component of the load
+    limits: Sequence[Number]  # [N], [N m] of the actuators
 
     @classmethod
     def of(cls, o: Observation, coefficients: Coefficients) -> FilterUnits:
@@ -127,55 +84,37 @@ class FilterUnits(NamedTuple):
         return cls(speed, drag, (o.F_u_max, o.F_r_max))
 
 
-def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Belief) -> Belief:
-    """Return the memory after one more observation.
+@dataclass(frozen=True)
+class FilterModel:
+    """What the filter takes from a kind of motion.
 
     Args:
-        o: the observation in SI units.
-        coefficients: of the nominal vehicle.
-        tuning: has the fields of a `kalman.Tuning`, or of a `kalman.FaultTuning` if faults are estimated, as symbols.
-        memory: as the last call returned it. At the start of an episode all rows are zero, except for the noise.
+        sea: the states.
+        units: returns the `FilterUnits` for (observation, coefficients).
+        reference: returns numbers that end with velocity and acceleration of the reference in the world, for
+            (observation, coefficients, namespace).
+        measured: returns the measurements, in the order of the motion, for (observation, what `reference` returns).
+        first_noise: initial standard deviations of the measurements, used until there are enough of them to estimate
+            these.
+        least_noise: lower bounds of the estimated standard deviations.
+        alike: rows of measurements with the same variance.
     """
-    motion, units, first = (
-        reference_motion(o, coefficients, SYMBOLS),
-        FilterUnits.of(o, coefficients),
-        memory.count[0] <= 0.0,
-    )
-    measured, step = _measurements(o, motion), _reference_step(memory.motion, motion, o.dt)
-    moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
-    no_fix = ~first & (moved[0] * moved[0] + moved[1] * moved[1] < _LEAST_MOTION * _LEAST_MOTION)
-    actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
-    initial, deviation = prior(measured, units, tuning, len(memory.state) > STATE_SIZE)
-    z, P = predicted(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
-    P = _sum(P, excitation(o.dt, units, tuning, len(z)))
-    change = [a - b for a, b in zip(expected_measurements(z), expected_measurements(memory.state), strict=True)]
-    past = [x + change[i % SENSORS] for i, x in enumerate(memory.past)]
-    z = [SYMBOLS.where(first, a, b) for a, b in zip(initial, z, strict=True)]
-    initial_P = diagonal([d * d for d in deviation])
-    P = symmetric([SYMBOLS.where(first, a, b) for a, b in zip(triangle(initial_P), triangle(P), strict=True)])
-    expected = expected_measurements(z)
-    fix = measured[:2]
-    measured = [*(SYMBOLS.where(no_fix, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
-    innovation = [a - b for a, b in zip(measured, expected, strict=True)]
-    innovation[PLACE.psi] = wrap_angle(innovation[PLACE.psi], SYMBOLS)
-    measured[PLACE.psi] = expected[PLACE.psi] + innovation[PLACE.psi]  # continuous, for the differences
-    noise = _noise_variances(measured, past, memory.noise, memory.count[0], o.dt, no_fix)
-    z, P, fits = measured_update(z, P, innovation, noise, no_fix)
-    fit = SYMBOLS.where(first, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
-    past = [*measured, *past[: 2 * SENSORS]]
-    later = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
-    return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], later)
 
+    sea: SeaModel
+    units: Callable[..., FilterUnits]
+    reference: Callable[..., Sequence[Number]]
+    measured: Callable[..., list[Number]]
+    first_noise: tuple[float, ...]
+    least_noise: tuple[float, ...]
+    alike: tuple[tuple[int, ...], ...]
 
-def split(z: Sequence[Any]) -> tuple[Estimate, Faults]:
-    """Return the two parts of a filter's state; `NO_FAULTS` if the filter does not estimate faults."""
-    return Estimate(*z[:STATE_SIZE]), Faults(*z[STATE_SIZE:]) if len(z) > STATE_SIZE else NO_FAULTS
+    @cached_property
+    def fine_noise(self) -> tuple[float, ...]:
+        """Standard deviations below which a measurement has less weight in the choice between the filters.
 
-
-def expected_measurements(z: Sequence[Any]) -> list[Any]:
-    """Return the measurements that a filter's state predicts, including the sensor biases."""
-    estimate, faults = split(z)
-    return [a + b for a, b in zip(measurement(estimate, SYMBOLS), biases(faults), strict=True)]
+        With precise sensors the filter for rough water is accurate in calm water too.
+        """
+        return tuple(0.4 * deviation for deviation in self.first_noise)
 
 
 def _measurements(o: Observation, motion: ReferenceMotion) -> list[Number]:
@@ -184,28 +123,131 @@ def _measurements(o: Observation, motion: ReferenceMotion) -> list[Number]:
     return [x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e]
 
 
-def _reference_step(before: Sequence[Number], motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
-    """Return the displacement of the reference since the last update, by Hermite's quadrature of fourth order."""
-    v_x, v_y, a_x, a_y = before
-    half, twelfth = 0.5 * dt, dt * dt / 12
-    return (
-        half * (v_x + motion.v_x) + twelfth * (a_x - motion.a_x),
-        half * (v_y + motion.v_y) + twelfth * (a_y - motion.a_y),
+PLANE_FILTER = FilterModel(
+    sea=PLANE_SEA,
+    units=FilterUnits.of,
+    reference=reference_motion,
+    measured=_measurements,
+    first_noise=(0.05, 0.05, 0.015, 0.02, 0.02, 0.005),
+    least_noise=(1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5),
+    alike=((PLACE.x_e, PLACE.y_e), (PLACE.u, PLACE.v)),
+)
+"""The filter in the horizontal plane."""
+
+
+class Belief(NamedTuple):
+    """Memory of a filter, as rows."""
+
+    count: Any  # number of updates so far, 1 row
+    state: Any  # an `Estimate`, then `Faults` if the filter estimates them
+    covariance: Any  # lower triangle of the state's covariance, row by row
+    motion: Any  # velocity [m/s] and acceleration [m/s^2] of the reference in the world
+    fix: Any  # last measured x_e, y_e [m]
+    past: Any  # last three measurements, each plus the motion that the model has predicted since then
+    noise: Any  # variances of the measurements
+    fit: Any  # log-likelihood of the measurements, with exponential forgetting, 1 row
+    actions: Any  # actions before the last one, surge and yaw of each, the latest first
+
+    @classmethod
+    def of(cls, rows: Any, faults: bool = False, model: FilterModel = PLANE_FILTER) -> Belief:
+        """Return the parts of a filter's memory.
+
+        Args:
+            rows: a sequence, or an array whose first axis is that of the rows.
+            faults: whether the filter estimates faults.
+            model: the kind of motion.
+        """
+        sizes = cls.sizes(faults, model)
+        return cls(*(rows[sum(sizes[:i]) : sum(sizes[: i + 1])] for i in range(len(sizes))))
+
+    @staticmethod
+    def sizes(faults: bool = False, model: FilterModel = PLANE_FILTER) -> Belief:
+        """Return the number of rows of each part."""
+        sea = model.sea
+        size, sensors, axes = sea.size + FAULTS * faults, sea.motion.stop, len(sea.model.position)
+        return Belief(1, size, size * (size + 1) // 2, 2 * axes, _FIX, 3 * sensors, sensors, 1, 2 * LATE * faults)
+
+
+def updated(o: Any, coefficients: Any, tuning: Any, memory: Belief, model: FilterModel = PLANE_FILTER) -> Belief:
+    """Return the memory after one more observation.
+
+    Args:
+        o: the observation in SI units.
+        coefficients: of the nominal vehicle.
+        tuning: has the fields of a `kalman.Tuning`, or of a `kalman.FaultTuning` if faults are estimated, as symbols.
+        memory: as the last call returned it. At the start of an episode all rows are zero, except for the noise.
+        model: the kind of motion.
+    """
+    sea, sensors, psi = model.sea, model.sea.motion.stop, model.sea.place.psi
+    motion, units, first = (
+        model.reference(o, coefficients, SYMBOLS),
+        model.units(o, coefficients),
+        memory.count[0] <= 0.0,
     )
+    moving = motion[-len(memory.motion) :]
+    measured, step = model.measured(o, motion), _reference_step(memory.motion, moving, o.dt)
+    moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
+    no_fix = ~first & (moved[0] * moved[0] + moved[1] * moved[1] < _LEAST_MOTION * _LEAST_MOTION)
+    actions = [
+        tuple(getattr(o, f"a_{c}") for c in sea.model.channels),
+        *zip(memory.actions[::2], memory.actions[1::2], strict=True),
+    ]
+    initial, deviation = prior(measured, units, tuning, len(memory.state) > sea.size, sea)
+    z, P = predicted(memory.state, symmetric(memory.covariance), actions, step, o, coefficients, sea)
+    P = _sum(P, excitation(o.dt, units, tuning, len(z), sea))
+    change = [
+        a - b for a, b in zip(expected_measurements(z, sea), expected_measurements(memory.state, sea), strict=True)
+    ]
+    past = [x + change[i % sensors] for i, x in enumerate(memory.past)]
+    z = [SYMBOLS.where(first, a, b) for a, b in zip(initial, z, strict=True)]
+    initial_P = diagonal([d * d for d in deviation])
+    P = symmetric([SYMBOLS.where(first, a, b) for a, b in zip(triangle(initial_P), triangle(P), strict=True)])
+    expected = expected_measurements(z, sea)
+    fix = measured[:_FIX]
+    measured = [*(SYMBOLS.where(no_fix, a, b) for a, b in zip(expected[:_FIX], fix, strict=True)), *measured[_FIX:]]
+    innovation = [a - b for a, b in zip(measured, expected, strict=True)]
+    innovation[psi] = wrap_angle(innovation[psi], SYMBOLS)
+    measured[psi] = expected[psi] + innovation[psi]  # continuous, for the differences
+    noise = _noise_variances(measured, past, memory.noise, memory.count[0], o.dt, no_fix, model)
+    z, P, fits = measured_update(z, P, innovation, noise, no_fix, model)
+    fit = SYMBOLS.where(first, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
+    past = [*measured, *past[: 2 * sensors]]
+    later = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
+    return Belief([memory.count[0] + 1.0], z, triangle(P), moving, fix, past, noise, [fit], later)
+
+
+def split(z: Sequence[Any], sea: SeaModel = PLANE_SEA) -> tuple[Any, Faults]:
+    """Return the two parts of a filter's state; `NO_FAULTS` if the filter does not estimate faults."""
+    return sea.Estimate(*z[: sea.size]), Faults(*z[sea.size :]) if len(z) > sea.size else NO_FAULTS
+
+
+def expected_measurements(z: Sequence[Any], sea: SeaModel = PLANE_SEA) -> list[Any]:
+    """Return the measurements that a filter's state predicts, including the sensor biases."""
+    estimate, faults = split(z, sea)
+    ideal = measurement(estimate, SYMBOLS, sea)
+    return [a + b for a, b in zip(ideal, biases(faults), strict=True)] if len(z) > sea.size else [*ideal]
+
+
+def _reference_step(before: Sequence[Number], now: Sequence[Number], dt: Number) -> list[Number]:
+    """Return the displacement of the reference since the last update, by Hermite's quadrature of fourth order."""
+    half, twelfth, axes = 0.5 * dt, dt * dt / 12, len(now) // 2
+    ends = zip(before[:axes], now[:axes], before[axes:], now[axes:], strict=True)
+    return [half * (v + v_now) + twelfth * (a - a_now) for v, v_now, a, a_now in ends]
 
 
 def predicted(
     z: Sequence[Any],
     P: _Matrix,
     actions: Sequence[Sequence[Number]],
-    reference_step: tuple[Number, Number],
-    o: Observation,
-    coefficients: Coefficients,
+    reference_step: Sequence[Number],
+    o: Any,
+    coefficients: Any,
+    sea: SeaModel = PLANE_SEA,
 ) -> tuple[Sequence[Any], _Matrix]:
     """Return state and covariance one control period later, without excitation.
 
-    The motion states depend on eleven variables only. The covariance is first propagated to these variables and then
-    to the motion states, which needs fewer operations.
+    The motion states depend on few variables only, in the plane on eleven. The covariance is first propagated to these
+    variables and then to the motion states, which needs fewer operations.
 
     Args:
         z: the state.
@@ -214,63 +256,73 @@ def predicted(
         reference_step: displacement of the reference in the world during the period [m].
         o: the observation at the end of the period.
         coefficients: of the nominal vehicle.
+        sea: the kind of motion.
     """
-    estimate, faults = split(z)
+    estimate, faults = split(z, sea)
     estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, math.inf))  # it is zero at the start
-    fault_rows = [*z[STATE_SIZE:]]
-    command = (o.a_u * o.F_u_max, o.a_r * o.F_r_max)
+    fault_rows = [*z[sea.size :]]
+    command: Sequence[Number] = [getattr(o, f"a_{c}") * getattr(o, f"F_{c}_max") for c in sea.model.channels]
     if fault_rows:
         command = acting_forces(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
-    after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS)
-    load, _ = mean_load(estimate, command, o.dt, coefficients, SYMBOLS)
-    others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *fault_rows]
-    inputs = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]  # of the equations of motion
+    after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS, sea)
+    load, _ = mean_load(estimate, command, o.dt, coefficients, SYMBOLS, sea)
+    others = [*after[sea.motion.stop :], *fault_rows]
+    inputs = [*estimate[sea.motion], *load, *after[sea.current]]  # of the equations of motion
     P = congruence(jacobian([*inputs, *others], [*estimate, *fault_rows]), P)
-    motion = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], inputs)]
+    motion = [[*row, *[0.0] * len(others)] for row in jacobian(after[sea.motion], inputs)]
     return [*after, *fault_rows], congruence([*motion, *diagonal([1.0] * len(P))[len(inputs) :]], P)
 
 
-def excitation(dt: Number, units: FilterUnits, tuning: Any, size: int = STATE_SIZE) -> _Matrix:
+def excitation(
+    dt: Number, units: FilterUnits, tuning: Any, size: int = STATE_SIZE, sea: SeaModel = PLANE_SEA
+) -> _Matrix:
     """Return the covariance of the process noise in one control period, shape (size, size)."""
     speed, drag, limits = units
-    drift: list[Any] = [POSE_DRIFT] * STATE_SIZE
-    drift[PLACE.u] = drift[PLACE.v] = tuning.acceleration * speed
-    drift[PLACE.r] = tuning.acceleration
-    drift[FORCE] = [FORCE_DRIFT * limit for limit in limits]
-    drift[CURRENT_STATES] = [tuning.current * speed] * 2
-    drift[GUST] = [tuning.gust * speed * math.sqrt(2 / GUST_MEMORY)] * 2
-    shares = tuning.surge_bias, tuning.sway_bias, tuning.yaw_bias
-    drift[BIAS] = [share * unit for share, unit in zip(shares, drag, strict=True)]
-    drift[PLACE.lag] = LAG_DRIFT
+    drift: list[Any] = [POSE_DRIFT] * sea.size
+    surge = side = tuning.acceleration * speed
+    drift[sea.motion] = _by_kind(sea.model.state, POSE_DRIFT, surge, side, tuning.acceleration)
+    drift[sea.force] = [FORCE_DRIFT * limit for limit in limits]
+    axes = len(sea.model.current)
+    drift[sea.current] = [tuning.current * speed] * axes
+    drift[sea.gust] = [tuning.gust * speed * math.sqrt(2 / GUST_MEMORY)] * axes
+    drift[sea.bias] = _loads(tuning, "bias", drag, sea)
+    drift[sea.place.lag] = LAG_DRIFT
     drift = [*drift, *DRIFT][:size]
     Q = diagonal([d * d * dt for d in drift])
     A = wave_transition(dt, SYMBOLS)
-    for pair, deviation in zip(WAVE_PAIRS, _waves(units, tuning), strict=True):
+    for pair, deviation in zip(sea.wave_pairs, _loads(tuning, "waves", drag, sea), strict=True):
         for i, row in zip(range(pair.start, pair.stop), A, strict=True):
             for j, other in zip(range(pair.start, pair.stop), A, strict=True):
                 Q[i][j] = deviation * deviation * (float(i == j) - dot(row, other))
     return Q
 
 
-def _waves(units: FilterUnits, tuning: Any) -> list[Number]:
-    """Return the standard deviations of the wave loads."""
-    shares = tuning.surge_waves, tuning.sway_waves, tuning.yaw_waves
-    return [share * unit for share, unit in zip(shares, units.drag, strict=True)]
+def _by_kind(names: Sequence[str], pose: Any, surge: Any, side: Any, turn: Any) -> list[Any]:
+    """Return a number for each name of a state or a load, by its kind."""
+    kinds = {"u": surge, "X": surge} | dict.fromkeys("vwYZ", side) | dict.fromkeys("qrMN", turn)
+    return [kinds.get(name, pose) for name in names]
+
+
+def _loads(tuning: Any, kind: str, drag: Sequence[Number], sea: SeaModel) -> list[Number]:
+    """Return the standard deviations of the components of a load, for the entries of the tuning with this ending."""
+    surge, sway, yaw = (getattr(tuning, f"{axis}_{kind}") for axis in ("surge", "sway", "yaw"))
+    return [share * unit for share, unit in zip(_by_kind(sea.model.load, 0.0, surge, sway, yaw), drag, strict=True)]
 
 
 def prior(
-    measured: Sequence[Number], units: FilterUnits, tuning: Any, faults: bool
+    measured: Sequence[Number], units: FilterUnits, tuning: Any, faults: bool, sea: SeaModel = PLANE_SEA
 ) -> tuple[Sequence[Any], Sequence[Number]]:
     """Return the initial state, whose motion states are the first measurements, and its standard deviations."""
     speed, drag, limits = units
-    z: list[Any] = [0.0] * STATE_SIZE
-    z[MOTION_STATES], z[PLACE.lag] = measured, FIRST_LAG
-    deviation: list[Any] = [FIRST_POSE] * STATE_SIZE
-    deviation[PLACE.u], deviation[PLACE.v], deviation[PLACE.r] = FIRST_SURGE * speed, FIRST_SWAY * speed, FIRST_TURN
-    deviation[FORCE] = [FORCE_DRIFT * limit for limit in limits]
-    deviation[CURRENT_STATES], deviation[GUST] = [FIRST_CURRENT * speed] * 2, [tuning.gust * speed] * 2
-    deviation[BIAS], deviation[PLACE.lag] = [FIRST_BIAS * unit for unit in drag], FIRST_LAG
-    deviation[WAVES] = [x for wave in _waves(units, tuning) for x in (wave, wave)]
+    z: list[Any] = [0.0] * sea.size
+    z[sea.motion], z[sea.place.lag] = measured, FIRST_LAG
+    deviation: list[Any] = [FIRST_POSE] * sea.size
+    deviation[sea.motion] = _by_kind(sea.model.state, FIRST_POSE, FIRST_SURGE * speed, FIRST_SWAY * speed, FIRST_TURN)
+    deviation[sea.force] = [FORCE_DRIFT * limit for limit in limits]
+    axes = len(sea.model.current)
+    deviation[sea.current], deviation[sea.gust] = [FIRST_CURRENT * speed] * axes, [tuning.gust * speed] * axes
+    deviation[sea.bias], deviation[sea.place.lag] = [FIRST_BIAS * unit for unit in drag], FIRST_LAG
+    deviation[sea.waves] = [x for wave in _loads(tuning, "waves", drag, sea) for x in (wave, wave)]
     if not faults:
         return z, deviation
     fault_mean, fault_deviation = prior_faults(tuning)
@@ -284,6 +336,7 @@ def _noise_variances(
     count: Number,
     dt: Number,
     no_fix: Any,
+    model: FilterModel,
 ) -> list[Number]:
     """Return the variances of the measurement noise, updated with one more measurement.
 
@@ -291,22 +344,29 @@ def _noise_variances(
     measurements in `past` include the motion that the model has predicted since then. Without a new fix (`no_fix`) the
     variance of the position stays unchanged.
     """
-    last, second, third = (past[i * SENSORS : (i + 1) * SENSORS] for i in range(3))
+    sensors = len(measured)
+    last, second, third = (past[i * sensors : (i + 1) * sensors] for i in range(3))
     difference = [a - 3 * b + 3 * c - d for a, b, c, d in zip(measured, last, second, third, strict=True)]
     square = [d * d / 20 for d in difference]
-    for i, j in ((PLACE.x_e, PLACE.y_e), (PLACE.u, PLACE.v)):  # the same variance on both axes
-        square[i] = square[j] = 0.5 * (square[i] + square[j])
+    for rows in model.alike:
+        mean = 1 / len(rows) * sum((square[i] for i in rows[1:]), start=square[rows[0]])
+        square = [mean if i in rows else x for i, x in enumerate(square)]
     weight = SYMBOLS.clip(1.0 / SYMBOLS.clip(count, 1.0, math.inf), dt / NOISE_MEMORY, math.inf)
     weight = SYMBOLS.where(count < 3.0, 0.0, SYMBOLS.clip(weight, 0.0, 1.0))
-    weights = [SYMBOLS.where(no_fix, 0.0, weight)] * 2 + [weight] * (SENSORS - 2)
+    weights = [SYMBOLS.where(no_fix, 0.0, weight)] * _FIX + [weight] * (sensors - _FIX)
     return [
         SYMBOLS.clip(variance + w * (new - variance), least * least, math.inf)
-        for variance, new, least, w in zip(noise, square, LEAST_NOISE, weights, strict=True)
+        for variance, new, least, w in zip(noise, square, model.least_noise, weights, strict=True)
     ]
 
 
 def measured_update(
-    z: Sequence[Any], P: _Matrix, innovation: Sequence[Number], noise: Sequence[Number], no_fix: Any
+    z: Sequence[Any],
+    P: _Matrix,
+    innovation: Sequence[Number],
+    noise: Sequence[Number],
+    no_fix: Any,
+    model: FilterModel = PLANE_FILTER,
 ) -> tuple[Sequence[Any], _Matrix, Any]:
     """Return state and covariance after measurements with independent errors, and their weighted log-likelihood.
 
@@ -316,25 +376,26 @@ def measured_update(
         innovation: measurements minus expected measurements.
         noise: variances of the measurement noise.
         no_fix: whether there is no new measurement of the position.
+        model: the kind of motion.
     """
-    size = len(z)
+    size, sea = len(z), model.sea
     change: list[Any] = [0.0] * size
     fit: Any = 0.0
-    for i, h in enumerate(jacobian(expected_measurements(z), z)):
+    for i, h in enumerate(jacobian(expected_measurements(z, sea), z)):
         Ph = [dot(h, column) for column in P]
         precision = 1.0 / (dot(h, Ph) + noise[i])  # of the innovation
         residual = innovation[i] - dot(h, change)
-        coarseness = (noise[i] / FINE_NOISE[i] ** 2) ** 2
+        coarseness = (noise[i] / model.fine_noise[i] ** 2) ** 2
         weight = coarseness / (1.0 + coarseness)
         fits = 0.5 * weight * (SYMBOLS.log(precision) - residual * residual * precision)
-        if i < PLACE.psi:
+        if i < _FIX:
             precision, fits = SYMBOLS.where(no_fix, 0.0, precision), SYMBOLS.where(no_fix, 0.0, fits)
         gain, fit = [x * precision for x in Ph], fit + fits
         change = [x + k * residual for x, k in zip(change, gain, strict=True)]
         P = symmetric([P[i][j] - gain[i] * Ph[j] for i in range(size) for j in range(i + 1)])
-    estimate, faults = split([x + d for x, d in zip(z, change, strict=True)])
+    estimate, faults = split([x + d for x, d in zip(z, change, strict=True)], sea)
     estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, LONGEST_LAG))
-    return [*estimate, *(within_bounds(faults, SYMBOLS) if size > STATE_SIZE else ())], P, fit
+    return [*estimate, *(within_bounds(faults, SYMBOLS) if size > sea.size else ())], P, fit
 
 
 def _sum(A: _Matrix, B: _Matrix) -> _Matrix:

@@ -22,7 +22,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle, with_names
 from auv_gym.task.observation import Observation
 from baselines.estimation.faults import FAULTS, LATE, Faults, after_delay
-from baselines.estimation.filter_equations import FIRST_NOISE, Belief, split, updated
+from baselines.estimation.filter_equations import PLANE_FILTER, Belief, FilterModel, split, updated
 from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.policy import Memory
 
@@ -88,19 +88,19 @@ class ExtendedKalmanFilter:
     the rows of a `filter_equations.Belief`, shape (N, rows).
     """
 
-    def __init__(self, vehicle: Vehicle, tuning: Tuning) -> None:
-        """Make the filter for a nominal vehicle; with a `FaultTuning` it estimates `Faults` as well."""
-        self.vehicle, self.tuning = vehicle, tuning
+    def __init__(self, vehicle: Any, tuning: Tuning, model: FilterModel = PLANE_FILTER) -> None:
+        """Make the filter for a nominal vehicle; with a `FaultTuning` it estimates `Faults` as well, in the plane."""
+        self.vehicle, self.tuning, self.model = vehicle, tuning, model
         self.faults = isinstance(tuning, FaultTuning)
         rough = np.array(astuple(tuning))
         calm = rough.copy()
         calm[_SCALED] *= tuning.calm
         self.known = [np.array((*vehicle.all_coefficients, *values))[:, None] for values in (rough, calm)]
-        self._kernel = filter_kernel(self.faults, len(vehicle.all_coefficients))
+        self._kernel = filter_kernel(self.faults, len(vehicle.all_coefficients), model)
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes; it must not be changed in place."""
-        return (_initial_memory(n, self.faults),) * HYPOTHESES
+        return (_initial_memory(n, self.faults, self.model),) * HYPOTHESES
 
     def update(self, memory: Memory, o: Array) -> tuple[Memory, Array]:
         """Return the memory and the state after one more observation.
@@ -118,7 +118,7 @@ class ExtendedKalmanFilter:
             self._kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
             for known, before in zip(self.known, memory, strict=True)
         ]
-        rough, calm = (Belief.of(after, self.faults) for after in rows)
+        rough, calm = (Belief.of(after, self.faults, self.model) for after in rows)
         state = np.array(averaged((rough.fit[0], calm.fit[0]), (rough.state, calm.state), ARRAYS))
         return tuple(after.T for after in rows), np.concatenate((state, rough.actions)) if self.faults else state
 
@@ -177,27 +177,29 @@ def repeated(column: Array, n: int) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _initial_memory(n: int, faults: bool) -> Array:
-    rows = np.zeros((sum(Belief.sizes(faults)), n))
-    Belief.of(rows, faults).noise[:] = np.square(FIRST_NOISE)[:, None]
+def _initial_memory(n: int, faults: bool, model: FilterModel) -> Array:
+    rows = np.zeros((sum(Belief.sizes(faults, model)), n))
+    Belief.of(rows, faults, model).noise[:] = np.square(model.first_noise)[:, None]
     rows.setflags(write=False)
     return rows.T
 
 
 @cache
-def filter_kernel(faults: bool = False, size: int = VEHICLE_ROWS) -> Kernel:
+def filter_kernel(faults: bool = False, size: int = VEHICLE_ROWS, model: FilterModel = PLANE_FILTER) -> Kernel:
     """Return the kernel of one update; its inputs are observation, vehicle and tuning, and memory.
 
     Args:
         faults: whether faults are estimated.
         size: number of rows of the vehicle, see `Vehicle.all_coefficients`.
+        model: the kind of motion.
     """
-    names = FAULT_TUNING if faults else FILTER_TUNING
+    seen, names = model.sea.model.Observation, FAULT_TUNING if faults else FILTER_TUNING
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
         tuning = SimpleNamespace(**dict(zip(names, known[size:], strict=True)))
-        after = updated(Observation(*o), with_names(known[:size]), tuning, Belief.of(memory, faults))
+        before = Belief.of(memory, faults, model)
+        after = updated(seen(*o), with_names(known[:size]), tuning, before, model)
         return {"after": [row for part in after for row in part]}
 
-    rows = {"o": len(Observation._fields), "known": size + len(names), "memory": sum(Belief.sizes(faults))}
+    rows = {"o": len(seen._fields), "known": size + len(names), "memory": sum(Belief.sizes(faults, model))}
     return Kernel.traced(equation, rows, structural=True, blocked=True)

@@ -9,13 +9,14 @@ constant is a random walk.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 from auv_gym.effects.actuators import Response, respond
-from auv_gym.physics.dynamics import CurrentVelocity, Force, Load, from_outside, rk4_step
-from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.task.model import PLANE, Model
 
 WAVE_FREQUENCY = 0.8  # [rad/s] natural frequency of the wave oscillators
 WAVE_DAMPING = 0.1  # [1] relative damping of the wave oscillators
@@ -58,16 +59,73 @@ class Estimate(NamedTuple):
     N_swing: Number  # [N m]
 
 
-STATE_SIZE = len(Estimate._fields)  # number of states
-PLACE: Any = Estimate._make(range(STATE_SIZE))  # the row of each field: `PLACE.lag` is that of the lag
-MOTION_STATES = slice(PLACE.x_e, PLACE.F_u)  # rows of position, heading and velocities
-FORCE = slice(PLACE.F_u, PLACE.V_x)  # rows of the actuators' forces
-CURRENT_STATES = slice(PLACE.V_x, PLACE.V_x_rate)  # rows of the current
-GUST = slice(PLACE.V_x_rate, PLACE.X)  # rows of the current's rate
-BIAS = slice(PLACE.X, PLACE.lag)  # rows of the slowly varying load
-WAVES = slice(PLACE.X_wave, STATE_SIZE)  # rows of the wave loads and swings of all axes
-WAVE_PAIRS = tuple(slice(row, row + 2) for row in (PLACE.X_wave, PLACE.Y_wave, PLACE.N_wave))  # load and swing
-SENSORS = PLACE.F_u  # number of measurements: the `MOTION_STATES`, with velocities over ground
+@dataclass(frozen=True)
+class SeaModel:
+    """The states of the model for a kind of motion, and their rows.
+
+    Args:
+        model: the kind of motion.
+        Estimate: NamedTuple of the state. In this order: the `model`'s state with the position relative to that of the
+            reference, forces, current, its rate, load, time constant, and each component's wave load and swing.
+    """
+
+    model: Model
+    Estimate: Any
+
+    @cached_property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.Estimate._fields)
+
+    @cached_property
+    def place(self) -> Any:
+        """The row of each field: `place.lag` is that of the lag."""
+        return self.Estimate._make(range(self.size))
+
+    @cached_property
+    def motion(self) -> slice:
+        """Rows of position, angles and velocities; with velocities over ground they are the measurements."""
+        return slice(0, len(self.model.state))
+
+    @cached_property
+    def force(self) -> slice:
+        """Rows of the actuators' forces."""
+        return self.model.forces
+
+    @cached_property
+    def current(self) -> slice:
+        """Rows of the current."""
+        return slice(self.force.stop, self.force.stop + len(self.model.current))
+
+    @cached_property
+    def gust(self) -> slice:
+        """Rows of the current's rate."""
+        return slice(self.current.stop, self.current.stop + len(self.model.current))
+
+    @cached_property
+    def bias(self) -> slice:
+        """Rows of the slowly varying load."""
+        return slice(self.gust.stop, self.gust.stop + len(self.model.load))
+
+    @cached_property
+    def waves(self) -> slice:
+        """Rows of the wave loads and swings of all components."""
+        return slice(self.bias.stop + 1, self.size)
+
+    @cached_property
+    def wave_pairs(self) -> tuple[slice, ...]:
+        """Rows of load and swing of each component."""
+        return tuple(slice(row, row + 2) for row in range(self.waves.start, self.size, 2))
+
+    @cached_property
+    def driven(self) -> tuple[int, ...]:
+        """The component of the load on which each actuator acts."""
+        return tuple(self.model.load.index(name) for name in self.model.driven)
+
+
+PLANE_SEA = SeaModel(PLANE, Estimate)
+"""The model in the horizontal plane."""
+STATE_SIZE, PLACE = PLANE_SEA.size, PLANE_SEA.place  # number of states and the row of each in the plane
 
 
 def lag_response(lag: Number, dt: Number, ns: Namespace) -> Response:
@@ -89,10 +147,10 @@ def wave_transition(dt: Number, ns: Namespace) -> WaveTransition:
     return (decay * (c + a), b), (-b, decay * (c - a))
 
 
-def waves_after(z: Estimate, A: WaveTransition) -> tuple[Number, ...]:
-    """Return the six wave states after one transition by the matrix A of `wave_transition`."""
+def waves_after(z: Any, A: WaveTransition, sea: SeaModel = PLANE_SEA) -> tuple[Number, ...]:
+    """Return the wave states after one transition by the matrix A of `wave_transition`."""
     (a, b), (c, d) = A
-    pairs = ((z.X_wave, z.X_swing), (z.Y_wave, z.Y_swing), (z.N_wave, z.N_swing))
+    pairs = (z[pair] for pair in sea.wave_pairs)
     return tuple(row for w, s in pairs for row in (a * w + b * s, c * w + d * s))
 
 
@@ -102,52 +160,60 @@ def current_transition(dt: Number, ns: Namespace) -> tuple[Number, Number, Numbe
     return ns.exp(-dt / CURRENT_MEMORY), decay, GUST_MEMORY * (1 - decay)
 
 
-def current_after(z: Estimate, dt: Number, ns: Namespace) -> CurrentVelocity:
-    """Return the current V_x, V_y [m/s] after dt [s]."""
+def current_after(z: Any, dt: Number, ns: Namespace, sea: SeaModel = PLANE_SEA) -> tuple[Number, ...]:
+    """Return the components of the current [m/s] after dt [s]."""
     decay, _, time = current_transition(dt, ns)
-    return decay * z.V_x + time * z.V_x_rate, decay * z.V_y + time * z.V_y_rate
+    return tuple(decay * V + time * rate for V, rate in zip(z[sea.current], z[sea.gust], strict=True))
 
 
-def mean_load(z: Estimate, command: Force, dt: Number, coefficients: Coefficients, ns: Namespace) -> tuple[Load, Force]:
+def mean_load(
+    z: Any, command: Sequence[Number], dt: Number, coefficients: Any, ns: Namespace, sea: SeaModel = PLANE_SEA
+) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
     """Return the mean load on the vehicle over one control period, and the actuators' force at its end."""
-    (mean_u, mean_r), force = respond((z.F_u, z.F_r), command, lag_response(z.lag, dt, ns), ns)
-    X_wave, _, Y_wave, _, N_wave, _ = waves_after(z, wave_transition(dt, ns))
-    X, Y, N = from_outside((z.X + X_wave, z.Y + Y_wave, z.N + N_wave), coefficients)
-    return (mean_u + X, Y, mean_r + N), force
+    gain, mean, *_ = lag_response(z.lag, dt, ns)
+    means, force = respond(z[sea.force], command, (gain, mean, *(math.inf for _ in command)), ns)
+    waves = waves_after(z, wave_transition(dt, ns), sea)[::2]
+    outside = tuple(slow + wave for slow, wave in zip(z[sea.bias], waves, strict=True))
+    load = [*sea.model.from_outside(outside, coefficients)]
+    for row, middle in zip(sea.driven, means, strict=True):
+        load[row] = middle + load[row]
+    return tuple(load), force
 
 
 def transition(
-    z: Estimate,
-    command: Force,
-    reference_step: tuple[Number, Number],
+    z: Any,
+    command: Sequence[Number],
+    reference_step: Sequence[Number],
     dt: Number,
-    coefficients: Coefficients,
+    coefficients: Any,
     ns: Namespace,
-) -> Estimate:
+    sea: SeaModel = PLANE_SEA,
+) -> Any:
     """Return the state one control period later, without excitation.
 
     Args:
-        z: the state.
-        command: F_u [N], F_r [N m] during the period.
+        z: the state, an `Estimate`.
+        command: of each actuator during the period [N], [N m].
         reference_step: displacement of the reference in the world during the period [m].
         dt: control period [s].
         coefficients: of the nominal vehicle.
         ns: the namespace of the numbers.
+        sea: the kind of motion.
     """
-    load, force = mean_load(z, command, dt, coefficients, ns)
-    current = current_after(z, dt, ns)
-    x, y, psi, u, v, r = rk4_step((z.x_e, z.y_e, z.psi, z.u, z.v, z.r), load, coefficients, dt, current, ns)
-    step_x, step_y = reference_step
-    vehicle = (x - step_x, y - step_y, psi, u, v, r)
+    load, force = mean_load(z, command, dt, coefficients, ns, sea)
+    current = current_after(z, dt, ns, sea)
+    motion = sea.model.advance(z[sea.motion], load, coefficients, dt, current, ns)
+    position = (x - step for x, step in zip(motion, reference_step, strict=False))
+    vehicle = (*position, *motion[len(reference_step) :])
     _, decay, _ = current_transition(dt, ns)
-    gust = decay * z.V_x_rate, decay * z.V_y_rate
+    gust = tuple(decay * rate for rate in z[sea.gust])
     bias_decay = ns.exp(-dt / BIAS_MEMORY)
-    bias = (bias_decay * load for load in z[BIAS])
-    waves = waves_after(z, wave_transition(dt, ns))
-    return Estimate._make((*vehicle, *force, *current, *gust, *bias, z.lag, *waves))
+    bias = (bias_decay * load for load in z[sea.bias])
+    waves = waves_after(z, wave_transition(dt, ns), sea)
+    return sea.Estimate._make((*vehicle, *force, *current, *gust, *bias, z.lag, *waves))
 
 
-def measurement(z: Estimate, ns: Namespace) -> tuple[Number, ...]:
-    """Return the ideal measurements: x_e, y_e, psi, u and v over ground, r."""
-    V_u, V_v = to_body(z.V_x, z.V_y, ns.cos(z.psi), ns.sin(z.psi))
-    return z.x_e, z.y_e, z.psi, z.u + V_u, z.v + V_v, z.r
+def measurement(z: Any, ns: Namespace, sea: SeaModel = PLANE_SEA) -> tuple[Number, ...]:
+    """Return the ideal measurements: the motion with velocities over ground, in the plane x_e, y_e, psi, u, v, r."""
+    measured: tuple[Number, ...] = sea.model.over_ground(z[sea.motion], z[sea.current], ns)
+    return measured

@@ -30,7 +30,7 @@ from auv_gym.task.observation import Observation
 
 LARGEST_CURRENT = 0.85
 """Largest current of a plan, as a share of the reference's speed. Forward motion requires a share below 1."""
-_HARDEST_BRAKING = 0.95
+HARDEST_BRAKING = 0.95
 """Largest deceleration -v_p'/v_p through the water, as a share of d22/m22. Beyond d22/m22 the sideslip diverges."""
 _LARGEST_SINE = math.sin(1.2)
 """Sine of the largest sideslip, 1.2 rad."""
@@ -127,7 +127,7 @@ def _rates_in_water(
     acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
     along = path_rates(((0.0, 0.0), velocity, acceleration, jerk), ns)
     drag = coefficients.d22 + coefficients.Y_uv * along.v_p
-    return with_limited_braking(along, _HARDEST_BRAKING * drag / coefficients.m22, ns)
+    return with_limited_braking(along, HARDEST_BRAKING * drag / coefficients.m22, ns)
 
 
 def _sideslip(

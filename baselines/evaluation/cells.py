@@ -42,7 +42,7 @@ class Cell:
 def _is_beyond(scenario: Scenario, episode: Episode) -> bool:
     try:
         return min(scenario.reserves(episode)) < 0
-    except ValueError:  # it has too many samples in the current, so nothing is known
+    except ValueError:  # in space, or with too many samples in the current, nothing is known
         return False
 
 

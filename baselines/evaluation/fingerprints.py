@@ -30,7 +30,6 @@ from auv_gym.planning import kernels as planning
 from auv_gym.scenarios import exogenous
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Law, Policy, traceable
 from baselines.agents.agent import AGENT_FILE, WEIGHTS, WHOLE_MODEL
 from baselines.agents.names import COMMAND, PolicyName
@@ -45,6 +44,7 @@ from baselines.gains.loading import numbers_of
 from baselines.policies import make_policy
 from baselines.policy import BySpeed, Remembering
 from baselines.scaling import ScaledPolicy
+from baselines.space.open_loop import SpaceOpenLoop
 
 BASELINES = Path(__file__).parents[1]  # folder of the package
 POLICY_CODE = ("agents", "control", "estimation")
@@ -70,7 +70,8 @@ def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
     policies = [PolicyName(name.base)]
     if name.fallback is not None:
         policies.append(PolicyName.of(name.fallback or _GUARD_LAW))
-    parts = [_data(part) for part in policies]
+    in_space = any(scenario.vertical for scenario in scenarios)
+    parts = [_data(part, in_space) for part in policies]
     if not all(parts):
         return ""
     data = _hash(" ".join(_hash(entry) for part in parts for entry in part))
@@ -78,7 +79,8 @@ def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
         return f".{data[:20]}."
     results = [_used(policy, data, scenario) for scenario in scenarios or [PRESETS["cruise-storm"]]]
     kernels = sorted({digest for digests, _ in results for digest in digests})
-    code = "" if all(compiled for _, compiled in results) else code_fingerprint(*POLICY_CODE)
+    modules = (*POLICY_CODE, "space") if any(scenario.vertical for scenario in scenarios) else POLICY_CODE
+    code = "" if all(compiled for _, compiled in results) else code_fingerprint(*modules)
     return f"{_hash(' '.join(kernels))[:20]}.{data[:20]}.{code}"
 
 
@@ -114,8 +116,8 @@ def _with_neighbours(file: Path) -> list[Path]:
     return found
 
 
-def _data(name: PolicyName) -> list[str | bytes]:
-    """Return the data of a policy without its suffixes; empty if there is no such policy."""
+def _data(name: PolicyName, in_space: bool = False) -> list[str | bytes]:
+    """Return the data of a policy without its suffixes, in the plane or in space; empty if there is no such policy."""
     base, kind = name.base, name.kind
     try:
         if kind == "program":
@@ -128,11 +130,11 @@ def _data(name: PolicyName) -> list[str | bytes]:
             return [file.read_bytes() for file in (Path(base), statistics) if file is not None]
         if kind == "controller":
             entry = POLICIES.get(base)
-            return [repr(sorted(entry.options.items())), json.dumps(numbers_of(base))] if entry else []
+            return [repr(sorted(entry.options.items())), json.dumps(numbers_of(base, in_space))] if entry else []
         if name.folder is not None:
             record = json.loads((name.folder / AGENT_FILE).read_bytes())
             description = json.dumps({key: record[key] for key in AGENT_KEYS if key in record}, sort_keys=True)
-            expert = [] if record["expert"] == NO_EXPERT else _data(PolicyName.of(record["expert"]))
+            expert = [] if record["expert"] == NO_EXPERT else _data(PolicyName.of(record["expert"]), in_space)
             return [(name.folder / WEIGHTS).read_bytes(), description, *expert]
     except OSError:
         pass
@@ -149,7 +151,8 @@ def _used(policy: str, data: str, scenario: Scenario) -> tuple[frozenset[str], b
     if key not in _known_kernels:
         made, digests = _digests(lambda: make_policy(policy, scenario.known), scenario)
         if isinstance(made, Law) and traceable(made):  # it computes on NumPy arrays, by the same equation
-            digests.add(Kernel.traced(lambda o: {"force": made.forces(o, SYMBOLS)}, {"o": SIZE}).digest)
+            size = scenario.parts.model.layout.size
+            digests.add(Kernel.traced(lambda o: {"force": made.forces(o, SYMBOLS)}, {"o": size}).digest)
         _known_kernels[key] = frozenset(digests - _simulation(scenario)), _is_compiled(made)
     return _known_kernels[key]
 
@@ -161,7 +164,7 @@ _known_kernels: dict[tuple[Any, ...], tuple[frozenset[str], bool]] = {}
 @cache
 def _simulation(scenario: Scenario) -> set[str]:
     """Return the digests of the kernels of the simulation of a scenario, without those of `together`."""
-    return _digests(OpenLoop, scenario)[1]
+    return _digests(SpaceOpenLoop if scenario.vertical else OpenLoop, scenario)[1]
 
 
 def _digests(make: Callable[[], Policy], scenario: Scenario) -> tuple[Policy, set[str]]:

@@ -27,9 +27,9 @@ WORST = 0.05
 
 @dataclass(frozen=True)
 class Track:
-    """The trajectory of one episode in the plane, one row for each control instant, including the start."""
+    """The trajectory of one episode, one row for each control instant, including the start."""
 
-    rows: Array  # x, y, x_R, y_R [m], psi, psi_R [rad], V_x, V_y [m/s] of the water at the vehicle, shape (n, 8)
+    rows: Array  # x, y, x_R, y_R [m], psi, psi_R [rad], V_x, V_y [m/s] of the water at the vehicle; in space z, z_R [m]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -55,9 +55,15 @@ class Track:
         return self.rows[:, 6:8]
 
     @property
+    def height(self) -> Array:
+        """Heights z, z_R [m], shape (n, 2); (n, 0) in the plane."""
+        return self.rows[:, 8:10]
+
+    @property
     def error(self) -> Array:
         """Distance to the reference [m], shape (n,)."""
-        return np.asarray(np.hypot(*(self.position - self.reference).T))
+        level = np.hypot(*(self.position - self.reference).T)
+        return np.asarray(np.hypot(level, np.diff(self.height).sum(axis=1)))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import speed_range_of
 from baselines.evaluation.suites import Suite
 from baselines.policies import list_policies
+from baselines.space import SPACE_POLICIES, SPEED_RANGE
 from baselines.tools.files import data_files
 
 RECORDED = "recorded"  # name of the folders of the files
@@ -36,7 +37,7 @@ def recorded_runs(suite: Suite) -> RecordedRuns:
     Runs are left out if the equations or the data of the policy have changed. If only code that runs as Python has
     changed, or the simulator, they are used with a note: `python -m research suites verify` shows if they repeat.
     """
-    order, notes = list(list_policies()), dict[str, None]()
+    order, notes = list(list_policies(None)), dict[str, None]()
     runs = [run for file in recorded_files(suite.name) for run in read_recorded(suite, file).runs]
     current = []
     for run in sorted(runs, key=lambda run: order.index(run.policy) if run.policy in order else len(order)):
@@ -70,7 +71,10 @@ def read_recorded(suite: Suite, file: Path) -> ResultFile:
 
 
 def speed_ranges_of(policy: str) -> tuple[str, ...]:
-    """Return the speed ranges of a policy; for an agent, those of the scenarios on which it was trained."""
-    folder = PolicyName.of(policy).folder
-    trained = {speed_range_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
-    return tuple(speed_range for speed_range in SPEED_RANGES if speed_range in trained) or SPEED_RANGES
+    """Return the speed ranges of a policy, "space" among them; for an agent, those of its training scenarios."""
+    name = PolicyName.of(policy)
+    if name.folder is None:
+        in_space = name.kind != "controller" or name.base in SPACE_POLICIES
+        return (*SPEED_RANGES, SPEED_RANGE) if in_space and name.fallback is None else SPEED_RANGES
+    trained = {speed_range_of(scenario) for scenario in Agent.load(name.folder).scenarios}
+    return tuple(speed_range for speed_range in (*SPEED_RANGES, SPEED_RANGE) if speed_range in trained) or SPEED_RANGES

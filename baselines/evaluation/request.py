@@ -9,10 +9,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.missions import mission_scenario, read_mission
-from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS, as_scenario
 from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution, load_effects
@@ -62,7 +63,8 @@ class Request:
         _check(options)
         import_effects(options.effects)
         named = [seeds_of(name) or (name,) for name in options.policy]
-        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)))
+        scenarios = [checked_scenario(name) for name in options.scenario]
+        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)), scenarios)
         trainings = tuple(seeds for seeds in named if len(seeds) > 1)
         suite = options.suite if options.scenario or options.mission else options.suite or DEFAULT_SUITE
         frozen = suite in list_suites()
@@ -187,10 +189,11 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     Raises:
         UsageError: there is none, or it cannot be used.
     """
-    if name.partition("@")[0] in PRESETS:
+    presets = PRESETS | SPACE_PRESETS
+    if name.partition("@")[0] in presets:
         return checked(partial(as_scenario, name))
     if table_file(name) is None:
-        known = *others, *PRESETS
+        known = *others, *presets
         raise UsageError(
             f"unknown scenario {name!r}{meant(name, known)}; allowed are a .toml or .json file, or one of "
             + ", ".join(known)
@@ -209,15 +212,22 @@ def seeds_of(name: str) -> tuple[str, ...]:
     return tuple(sorted((str(one.parents[1]) for one in agents), key=lambda one: (len(one), one)))
 
 
-def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
+def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -> tuple[str, ...]:
     """Return the names of policies without repetitions, and check that each policy can be made.
+
+    Args:
+        names: the names.
+        scenarios: where the policies run; those in space need policies in space.
 
     Raises:
         UsageError: a policy cannot be made.
     """
+    space = [scenario.known for scenario in scenarios if scenario.vertical]
+    vehicles: list[Any] = space if len(space) == len(scenarios) > 0 else [*space, PAPER_VEHICLE]
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
-        if name not in list_policies():
-            checked(partial(make_policy, name, PAPER_VEHICLE))  # a factory may require a vehicle
+        for vehicle in vehicles:  # a factory may require one
+            if vehicle is not PAPER_VEHICLE or name not in list_policies():
+                checked(partial(make_policy, name, vehicle))
     return tuple(dict.fromkeys(names))

@@ -15,6 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from auv_gym.envs.space import UnderactuatedAUVTrack3DVectorEnv
+from auv_gym.envs.spaces import finite_numbers
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths import Line
@@ -160,9 +162,8 @@ def beginning(
     # which needs no planning; if all episodes end together, it is never begun.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
     scenarios = [scenario for scenario, (_, episodes) in zip(after, cells, strict=True) for _ in episodes]
-    env = UnderactuatedAUVTrackVectorEnv(
-        len(scenarios), scenarios, preview=preview, autoreset_mode=AutoresetMode.NEXT_STEP
-    )
+    make = UnderactuatedAUVTrack3DVectorEnv if scenarios[0].vertical else UnderactuatedAUVTrackVectorEnv
+    env = make(len(scenarios), scenarios, preview=preview, autoreset_mode=AutoresetMode.NEXT_STEP)
     if simulator is not None:
         env.use_simulator(simulator)
     observation, _ = env.reset(seed=0, options={"episode": [episode for _, episodes in cells for episode in episodes]})
@@ -280,7 +281,9 @@ def _checked(action: Any, running: NDArray[np.bool_], k: int, channels: int) -> 
     finite = np.isfinite(array).all(axis=1) | ~running
     if not finite.all():
         i = int(np.argmin(finite))
-        raise PolicyError(f"step {k}, episode {i}: action is {array[i]}; it must be two finite numbers in [-1, 1]")
+        raise PolicyError(
+            f"step {k}, episode {i}: action is {array[i]}; it must be {finite_numbers(channels)} in [-1, 1]"
+        )
     return np.where(running[:, None], array, 0.0).astype(np.float64)
 
 
@@ -290,10 +293,12 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
     Raises:
         ValueError: the scenario's path is not feasible.
     """
-    return gym.make(EVALUATED_ENV, scenario=scenario, disable_env_checker=True)
+    name = EVALUATED_ENV.replace("Track-", "Track3D-") if scenario.vertical else EVALUATED_ENV
+    return gym.make(name, scenario=scenario, disable_env_checker=True)
 
 
 def _row(env: UnderactuatedAUVTrackVectorEnv) -> Array:
-    """Return x, y, x_R, y_R [m], psi, psi_R [rad] and V_x, V_y [m/s] of the traced vehicles, shape (8, n)."""
-    (x, y, psi), (x_R, y_R, psi_R, *_) = env.pose.T, env.reference
-    return np.array((x, y, x_R, y_R, psi, psi_R, *env.current.T))[:, :TRACED]
+    """Return the rows of a `Track` of the traced vehicles, shape (rows, n)."""
+    (x, y, psi, *z), R, (V_x, V_y, *_) = env.pose.T, env.reference, env.current.T
+    height = (*z, R.z) if z else ()
+    return np.array((x, y, R.x, R.y, psi, R.psi, V_x, V_y, *height))[:, :TRACED]

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
-from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
@@ -29,7 +28,7 @@ OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum, with score 1
 FULL_INFORMATION = (ORACLE, OPTIMUM_POLICY)
 """Reference policies with information that entries may not use."""
 RIVAL = "nmpc"  # a policy without learning that others are compared with
-ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
+ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, "space": 2.0}
 """Error caps [m] by speed range: the steady-state RMSE from which an episode counts as failed, and beyond which the
 capped score does not fall.
 
@@ -77,7 +76,7 @@ def paired(*measures: Measures) -> list[Measures]:
 
 def speed_range_of(scenario: str) -> str | None:
     """Return the speed range at the beginning of a scenario's name, None if there is none."""
-    return next((speed_range for speed_range in SPEED_RANGES if scenario.startswith(f"{speed_range}-")), None)
+    return next((speed_range for speed_range in ERROR_CAPS if scenario.startswith(f"{speed_range}-")), None)
 
 
 def vehicle_of(scenario: str) -> str:

@@ -22,8 +22,9 @@ import numpy as np
 
 from auv_gym.effects.current import Current
 from auv_gym.effects.faults import Fault
-from auv_gym.effects.waves import Waves
+from auv_gym.effects.waves import SpaceWaves, Waves
 from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import from_record, guarded, meant, to_record
@@ -135,10 +136,11 @@ def cell_digest(cell: Cell) -> Array:
     They are x, y, F_u, F_r of the reference at the end of the episode, and V_x, the sway force of the waves and the
     measurement errors of x and r after a third of it.
     """
-    truth = Truth.of(cell.scenario, cell.episodes)
+    truth, model = Truth.of(cell.scenario, cell.episodes), cell.scenario.parts.model
     end, third = truth.samples[-1], truth.samples[cell.scenario.steps // 3]
     n_x, *_, n_r = measurement_errors(tuple(third), truth.parameters, ARRAYS)
-    return np.stack((*end[[0, 1, 6, 7]], *third[[8, 11]], n_x, n_r), axis=1)
+    of_end = [0, 1, len(model.state), model.reference.stop - 1]
+    return np.stack((*end[of_end], *third[[model.current_rows.start, model.load_rows.start + 1]], n_x, n_r), axis=1)
 
 
 def check_cell(cell: Cell, recorded: Array) -> None:
@@ -183,11 +185,13 @@ def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
     values: dict[str, Any] = {**_DEFAULTS, **record}
     if "vehicle" not in record:
         values["vehicle"] = scenario.vehicle
+    vehicle: Any = SpaceVehicle if scenario.vertical else Vehicle
+    waves: Any = SpaceWaves if scenario.vertical else Waves
     special = {
         "path": path_from,
-        "vehicle": lambda value: value if isinstance(value, Vehicle) else from_record(Vehicle, value, "vehicle"),
+        "vehicle": lambda value: value if isinstance(value, vehicle) else from_record(vehicle, value, "vehicle"),
         "current": lambda value: from_record(Current, value, "current"),
-        "waves": lambda value: None if value is None else from_record(Waves, value, "waves"),
+        "waves": lambda value: None if value is None else from_record(waves, value, "waves"),
         "faults": lambda value: tuple(Fault(kind, begin, end, tuple(jump)) for kind, begin, end, jump in value),
     }
     return from_record(Episode, values, "episode", special)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from auv_gym.codegen.printing import c_language
-from auv_gym.task.policy import LARGEST, POSITIVE
-from baselines.agents.networks import OUTPUTS
-from baselines.export.parts import MEASURED_NAMES, REFERENCE_NAMES, SETTING, Exported, network_program
+from auv_gym.task.policy import LARGEST
+from baselines.export.parts import Exported, network_program
 from baselines.export.plain import parameters, plain_function, tangent_function
 from baselines.export.vectors import plain_program
 
@@ -52,14 +51,14 @@ enum {{ {CAPITALS}_OK = 0, {CAPITALS}_REPEATED = 1 }}; /* a new command, or the 
 /* The memory of the agent. */
 typedef struct {{
 {memory}
-    {prefix}_real command[2]; /* the last one */
+    {prefix}_real command[{channels}]; /* the last one */
 }} {prefix}_memory;
 
 /* Measurements, reference and settings of a control period, in SI units. */
 typedef struct {{
-    {prefix}_real measured[6]; /* {measured}; u, v over ground, in body axes */
-    {prefix}_real reference[8]; /* {reference} */
-    {prefix}_real setting[3]; /* {setting} */
+    {prefix}_real measured[{states}]; /* {measured}; {velocities} over ground, in body axes */
+    {prefix}_real reference[{references}]; /* {reference} */
+    {prefix}_real setting[{settings}]; /* {setting} */
 {ahead}}} {prefix}_view;
 
 /* Reset the memory at the start of an episode. */
@@ -68,10 +67,10 @@ void {prefix}_start({prefix}_memory *memory);
 /* Write the observation of a view; it contains the last command, which is in the memory. */
 void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *observation);
 
-/* Write the command for an observation: surge and yaw, -1 to 1. Returns {CAPITALS}_OK or {CAPITALS}_REPEATED. */
+/* Write the command for an observation: {actuators}, -1 to 1. Returns {CAPITALS}_OK or {CAPITALS}_REPEATED. */
 int {prefix}_step({prefix}_memory *memory, const {prefix}_real *observation, {prefix}_real *command);
 
-/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. Returns as {prefix}_step. */
+/* Write the command for a view; {forces}. Returns as {prefix}_step. */
 int {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *command);
 
 #ifdef __cplusplus
@@ -111,9 +110,9 @@ void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, 
 
 int {prefix}_step({prefix}_memory *memory, const real *observation, real *command)
 {{
-    static const real authority[2] = {{{authority}}};
+    static const real authority[{channels}] = {{{authority}}};
     {prefix}_memory next = *memory;
-    real features[{features}], base[2];
+    real features[{features}], base[{channels}];
     int i, good = {prefix}_usable(observation, {CAPITALS}_OBSERVATION){positive};
     if (good) {{
         {prefix}_see({seen});
@@ -122,7 +121,7 @@ int {prefix}_step({prefix}_memory *memory, const real *observation, real *comman
         good = {finite};
     }}
     if (good) *memory = next;
-    for (i = 0; i < 2; i++) command[i] = memory->command[i];
+    for (i = 0; i < {channels}; i++) command[i] = memory->command[i];
     return good ? {CAPITALS}_OK : {CAPITALS}_REPEATED;
 }}
 
@@ -134,7 +133,7 @@ int {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, real *com
         {prefix}_observe(memory, view, observation);
         return {prefix}_step(memory, observation, command);
     }}
-    for (i = 0; i < 2; i++) command[i] = memory->command[i];
+    for (i = 0; i < {channels}; i++) command[i] = memory->command[i];
     return {CAPITALS}_REPEATED;
 }}
 
@@ -153,11 +152,12 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         weights: type of the network's matrices, "float32" or "int8".
         prefix: prefix of every name in the header.
     """
-    ahead = ""
+    ahead, model = "", agent.model
     if agent.preview:
         times = ", ".join(map(str, agent.preview))
-        meaning = f"displacement x, y [m] of the reference, in world axes, after {times} control periods"
-        ahead = f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {meaning} */\n"
+        axes = ", ".join(model.position)
+        meaning = f"displacement {axes} [m] of the reference, in world axes, after {times} control periods"
+        ahead = f"    {prefix}_real ahead[{len(model.position) * len(agent.preview)}]; /* {meaning} */\n"
     names = {
         "prefix": prefix,
         "file": f"{agent.name}.h",
@@ -165,9 +165,16 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         "real": "float" if precision == "float32" else "double",
         "size": str(len(agent.columns)),
         "memory": "\n".join(f"    {prefix}_real {name}[{size}];" for name, size in agent.memory.items()),
-        "measured": ", ".join(MEASURED_NAMES),
-        "reference": ", ".join(REFERENCE_NAMES),
-        "setting": ", ".join(SETTING),
+        "channels": str(len(model.channels)),
+        "states": str(len(agent.measured)),
+        "references": str(len(agent.reference)),
+        "settings": str(len(agent.setting)),
+        "measured": ", ".join(agent.measured),
+        "reference": ", ".join(agent.reference),
+        "setting": ", ".join(agent.setting),
+        "velocities": ", ".join(model.velocity),
+        "actuators": "surge and yaw" if len(model.channels) == 2 else "surge, pitch and yaw",
+        "forces": ", ".join(f"F_{c} = command[{i}] F_{c}_max" for i, c in enumerate(model.channels)),
         "ahead": ahead,
         "largest": f"{LARGEST:g}",
     }
@@ -224,12 +231,12 @@ def _single(x: float) -> str:
 
 def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
     """Return the arguments and sizes with which the template `_DEFINED` calls the generated functions."""
-    seen = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
+    seen = {"observation": "observation", "ahead": f"observation + {agent.model.layout.size}"}
     seen |= {"correction": "memory->correction", "integrals": "next.integrals"}
     encode = parameters(agent.encode.arguments, agent.encode.results)
     encoded = {"observation": "observation", "last": "memory->command"}
     views = {name: len(entries) for name, entries in agent.encode.arguments.items() if name != "last"}
-    sizes, hidden = {**agent.memory, "command": OUTPUTS}, bool(agent.agent.network.memory)
+    sizes, hidden = {**agent.memory, "command": len(agent.model.channels)}, bool(agent.agent.network.memory)
 
     def usable(where: str, arrays: Mapping[str, int], indent: int) -> str:
         checks = (f"{prefix}_usable({where}{name}, {n})" for name, n in arrays.items())
@@ -242,7 +249,7 @@ def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
         "seen": ", ".join(seen.get(name, name) for name in parameters(agent.see.arguments, agent.seen)),
         "computed": ", ".join(("features", *["memory->hidden"] * hidden, "next.correction", *["next.hidden"] * hidden)),
         "forget": "\n".join(f"    for (i = 0; i < {n}; i++) memory->{name}[i] = 0;" for name, n in sizes.items()),
-        "positive": "".join(f" && observation[{i}] > 0" for i in POSITIVE),
+        "positive": "".join(f" && observation[{i}] > 0" for i in agent.model.layout.positive),
         "finite": usable("next.", sizes, 8),
         "given": usable("view->", views, 4),
     }

@@ -10,12 +10,10 @@ from onnx import TensorProto, checker, helper, numpy_helper
 
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
-from auv_gym.task.policy import LARGEST, POSITIVE
-from baselines.agents.networks import OUTPUTS
+from auv_gym.task.policy import LARGEST
 from baselines.export.parts import Exported
 from baselines.export.sums import long_sums
 from baselines.export.vectors import Program
-from baselines.policy import A_U
 
 OPSET = 17
 """Version of the operator set; runtimes of the last years support it."""
@@ -38,6 +36,7 @@ class _Writer:
         self.single, self.truth = TensorProto.FLOAT, TensorProto.BOOL
         self.nodes: list[Any] = []
         self.constants: dict[str, Any] = {}
+        self.positive: Sequence[int] = ()  # columns of the observation that must be positive
 
     def node(self, operator: str, inputs: Sequence[str], outputs: Sequence[str], **attributes: Any) -> None:
         """Add an operator."""
@@ -115,7 +114,7 @@ class _Writer:
 
         The limits and the control period in the observation must be positive.
         """
-        self.node("Gather", ["observation", self.constant("positive", POSITIVE, np.int64)], ["settings"], axis=1)
+        self.node("Gather", ["observation", self.constant("positive", self.positive, np.int64)], ["settings"], axis=1)
         self.node("Greater", ["settings", self.number(0.0)], ["settings_positive"])
         masks = [self.within(array, LARGEST) for array in arrays] + ["settings_positive"]
         for mask in masks:  # ONNX has no minimum of truth values
@@ -156,8 +155,8 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     """Return an agent as a checked `onnx.ModelProto`.
 
     The inputs are the observation (batch, n) and the memory: arrays (batch, size), zero at the start of an episode. The
-    outputs are the action (batch, 2), with names next_... the memory for the next call, and repeated (batch, 1). If a
-    number in a row of the inputs or results is not finite or larger than `LARGEST` in magnitude, or a limit or the
+    outputs are the action (batch, channels), with names next_... the memory for the next call, and repeated (batch, 1).
+    If a number in a row of the inputs or results is not finite or larger than `LARGEST` in magnitude, or a limit or the
     control period is not positive, the action is the last one, which is in the observation, or zero where that is not
     in [-1, 1], and the memory is the input memory. Then `repeated` is true.
 
@@ -165,14 +164,15 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
         agent: the agent.
         precision: type of all numbers, including inputs and outputs, "float32" or "float64".
     """
-    writer = _Writer(precision)
+    writer, layout, channels = _Writer(precision), agent.model.layout, len(agent.model.channels)
+    writer.positive = layout.positive
     results = _add_agent(writer, agent)
-    writer.slice("observation", A_U, OUTPUTS, "last")
+    writer.slice("observation", layout.last[0], channels, "last")
     writer.node("Where", [writer.within("last", 1.0), "last", writer.number(0.0)], ["last_command"])
     before = {"action": "last_command", **{f"next_{name}": name for name in agent.memory}}
     usable = writer.usable(["observation", *(results[name] for name in before)])
     sizes = {"observation": len(agent.columns), **agent.memory}
-    ends = {"action": OUTPUTS} | {f"next_{name}": size for name, size in agent.memory.items()}
+    ends = {"action": channels} | {f"next_{name}": size for name, size in agent.memory.items()}
     for name in ends:
         writer.node("Where", [usable, results[name], before[name]], [name])
     writer.node("Not", [usable], ["repeated"])
@@ -203,7 +203,7 @@ def _add_agent(writer: _Writer, agent: Exported) -> dict[str, str]:
         seen[name], names = names[: len(symbols)], names[len(symbols) :]
         writer.node("Concat", seen[name], [f"{name}_now"], axis=1)
     network = writer.program(agent.network, {"features": "features_now", "hidden": "hidden"})
-    changes = [f"change_{j}" for j in range(OUTPUTS)]
+    changes = [f"change_{j}" for j in range(len(agent.model.channels))]
     writer.split(network["correction"], changes)
     rule, authority = agent.command, [writer.number(a) for a in agent.agent.authority]
     columns = [*seen["base"], *authority, *changes]

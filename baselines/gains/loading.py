@@ -125,10 +125,11 @@ def load_gains(name: str, speed_range: str, names: Sequence[str], part: str = "g
     return checked_gains(record[part], names, f"{GAINS_FILE}, {name} in {speed_range},")
 
 
-def numbers_of(name: str) -> list[Any]:
-    """Return all recorded numbers that a controller can depend on, as plain JSON."""
+def numbers_of(name: str, in_space: bool = False) -> list[Any]:
+    """Return all recorded numbers that a controller can depend on, in the plane or in space, as plain JSON."""
     record = recorded_gains()
-    tuned = [entry["gains"] for entry in record["tuned"].get(name, {}).values()]
+    ranges = record["tuned"].get(name, {}).items()
+    tuned = [entry["gains"] for speed_range, entry in ranges if (speed_range not in SPEED_RANGES) == in_space]
     exponents = record["exponents"].get(name, {}).get("exponents")
     return [tuned, exponents, {key: entry["gains"] for key, entry in record["sets"].items()}]
 

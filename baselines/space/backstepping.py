@@ -9,13 +9,21 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
+from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.space import Errors, SpaceVehicle, coupling
+from auv_gym.scenarios.vehicles import PAPER
+from auv_gym.task.observation import Layout
+from auv_gym.task.policy import Law
+from auv_gym.task.space import SPACE, Observation
 from baselines.control import backstepping
-from baselines.control.backstepping import Gains
+from baselines.control.backstepping import GAINS, Gains
 from baselines.policy import squared_speed
+
+_WANTED = slice(Observation._fields.index("theta_R"), Observation._fields.index("F_rR") + 1)
 
 
 class Wanted(NamedTuple):
@@ -39,11 +47,11 @@ def bounded_error(errors: Sequence[Number], reference: Wanted, horizon: float, n
     """
     o = Errors(*errors)
     distance = o.e_x * o.e_x + o.e_y * o.e_y + o.e_z * o.e_z
-    shrink = 1 / ns.sqrt(1 + distance / (horizon * horizon * _squared(reference, ns)))
+    shrink = 1 / ns.sqrt(1 + distance / (horizon * horizon * squared(reference, ns)))
     return o._replace(e_x=shrink * o.e_x, e_y=shrink * o.e_y, e_z=shrink * o.e_z)
 
 
-def _squared(reference: Wanted, ns: Namespace) -> Number:
+def squared(reference: Wanted, ns: Namespace) -> Number:
     """Return the squared reference speed, which is not 0."""
     return squared_speed(reference.u, reference.v, ns) + reference.w * reference.w
 
@@ -85,7 +93,40 @@ def _shared(gains: Gains, side: Number, reference: Wanted, ns: Namespace) -> Gai
     """Return the gains for a plane with a sideways speed, whose normalisation knows its own two velocities alone."""
     if gains.reference_speed is None:
         return gains
-    share = ns.sqrt(squared_speed(reference.u, side, ns)) / ns.sqrt(_squared(reference, ns))
+    share = ns.sqrt(squared_speed(reference.u, side, ns)) / ns.sqrt(squared(reference, ns))
     scaled = copy.copy(gains)
     object.__setattr__(scaled, "reference_speed", gains.reference_speed * share)  # not checked: it may be a symbol
     return scaled
+
+
+@dataclass(frozen=True)
+class SpaceBackstepping(Law):
+    """The tracking law in space as a policy, with Stable-Baselines3's `predict`.
+
+    Args:
+        gains: a `Gains`, or a name in `backstepping.GAINS`; "auto" are the gains for cruise.
+        vehicle: nominal model of the law.
+        horizon: bound on the position error as a travel time [s], see `bounded_error`. None: no bound.
+
+    Raises:
+        ValueError: unknown gains, or a horizon that is not positive.
+    """
+
+    layout: ClassVar[Layout] = SPACE.layout
+    gains: Any = "auto"
+    vehicle: SpaceVehicle = PAPER.in_space
+    horizon: float | None = 3.0
+
+    def __post_init__(self) -> None:
+        gains = "cruise" if self.gains == "auto" else self.gains
+        if isinstance(gains, str) and gains not in GAINS:
+            raise ValueError(f"unknown gains {gains!r}; allowed are a Gains, auto, {', '.join(GAINS)}")
+        object.__setattr__(self, "gains", GAINS[gains] if isinstance(gains, str) else gains)
+        if self.horizon is not None:
+            check_number("horizon", self.horizon, 1e-3, 1e6)
+
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number, Number]:
+        """Return F_u [N], F_q [N m], F_r [N m] for a `task.space.Observation` in SI units, or its terms."""
+        seen, reference = Observation._make(o), Wanted(*o[_WANTED])
+        theta = ns.arctan2(seen.sin_theta, seen.cos_theta)
+        return tracking_forces(o[:10], theta, reference, self.vehicle, self.gains, self.horizon, ns)

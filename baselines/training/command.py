@@ -34,7 +34,8 @@ from baselines.training.run_folder import LOCK, read_config
 from baselines.training.train import TrainingRequest, train_all
 
 PROGRAM = "train.py"
-BASE_AGENT = "helm-any"  # shipped agent that a training for a vehicle starts from
+BASE_AGENT, SPACE_BASE_AGENT = "helm-any", "helm-3d"
+"""Shipped agents that a training for a vehicle starts from, in the plane and in space."""
 VEHICLE_EXPERT = "los-pid"
 """Expert of a new network for a vehicle: its gains depend on limits and lag, and it follows waves that weak fins cannot
 resist, where `EXPERT` diverges."""
@@ -71,7 +72,7 @@ class Options:
     from_: Annotated[str | None, arg(name="from", metavar="AGENT", help_behavior_hint="")] = None
     """Initial agent, by name or folder, such as "helm". Its weights, network, inputs, expert and authority are used in
     a short training with small learning rates. "none" for a new network, whose correction is zero. Default: none; with
-    --vehicle and neither --algo nor --expert helm-any."""
+    --vehicle and neither --algo nor --expert helm-any, for scenarios in space helm-3d."""
     vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
     """Vehicle to train for, a published one by name or a .toml file. The scenarios are adapted to it. Scenarios that
     are too slow for its fins are left out. At the end the agent is compared with controllers on storms."""
@@ -182,7 +183,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
         options.algo,
         scenarios,
         expert,
-        tuple(authority) * 2 if isinstance(authority, Sequence) and len(authority) == 1 else authority,
+        _authority(authority, len(scenarios[0][0].parts.model.channels)),
         options.seed,
         timesteps if options.timesteps is None else options.timesteps,
         values,
@@ -193,6 +194,13 @@ def configurations(options: Options) -> tuple[Config, ...]:
     configs = tuple(replace(first, seed=first.seed + i) for i in range(options.seeds))
     check(first)
     return configs
+
+
+def _authority(given: Any, channels: int) -> Any:
+    """Return the authority of each channel: of one number all have it, of two pitch has that of yaw."""
+    if not isinstance(given, Sequence):
+        return given
+    return (*given, *[given[-1]] * (channels - len(given)))
 
 
 def check(config: Config) -> None:
@@ -244,8 +252,15 @@ def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
 def _start(options: Options) -> str | None:
     """Return the agent that a training starts from, None for a new network."""
     if options.from_ is None and options.vehicle and options.algo == ALGO and options.expert is None:
-        return BASE_AGENT
+        return SPACE_BASE_AGENT if _in_space(options) else BASE_AGENT
     return None if options.from_ == NO_EXPERT else options.from_
+
+
+def _in_space(options: Options) -> bool:
+    """Return whether the training is for motion in space."""
+    if options.scenario or options.from_ in (None, NO_EXPERT):
+        return any(scenario.vertical is not None for scenario, _ in resolved(options.scenario))
+    return any(scenario.vertical is not None for scenario, _ in InitialAgent.of(options.from_).config.scenarios)
 
 
 def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
@@ -310,7 +325,9 @@ def _comparison(options: Options) -> Comparison | None:
     """Return the comparison at the end; None if it is left out, or limits and lag of the vehicle are not known."""
     if options.no_compare or (vehicle_model := as_vehicle_model(options.vehicle)) is None:
         return None
-    comparison = Comparison(vehicle_model, options.sea, _start(options) or BASE_AGENT)
+    in_space = _in_space(options)
+    agent = _start(options) or (SPACE_BASE_AGENT if in_space else BASE_AGENT)
+    comparison = Comparison(vehicle_model, options.sea, agent, in_space)
     try:
         comparison.scenario  # noqa: B018, it raises
     except ValueError as error:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.scenarios.fitting import Sea, changed
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.names import GUARD
@@ -26,17 +26,17 @@ from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import OPTIMUM_POLICY, cap_of, capped, has_failed
 from baselines.gains.loading import adapted_gains
+from baselines.space import SPEED_RANGE
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import Workers
 from baselines.training.run_folder import TrainingError, locked
-from baselines.tuning.objective import TUNABLES, TuningEpisodes
+from baselines.tuning.objective import SPACE_TUNABLES, TUNABLES, TuningEpisodes
 from baselines.tuning.search import Budget, search_record
 
 CONTROLLERS = {"los-pid": Budget(), "nmpc": Budget(60, 16)}
 """Controllers whose gains are searched for the vehicle, and the size of the search, which takes a minute or less."""
 CHECKED = 128  # episodes on which the controllers with the gains found are compared, a multiple of 8
 EPISODES = 48  # of the comparison; they have the seeds from 0 on
-SPEED_RANGE = "cruise"  # of the storms, and of the cases on which gains are searched
 RESULT = "comparison.json"  # file of the results; comparison.md has the same as a table
 STORM = "storm.toml"  # file of the scenario
 GAINS_FOLDER = "gains"  # folder with a file of gains for each controller, which is a policy
@@ -50,10 +50,17 @@ class Comparison:
     sea: Sea
     agent: str
 
+    in_space: bool = False  # else in the plane
+
+    @property
+    def speed_range(self) -> str:
+        """Name of that of the storms, and of the cases on which gains are searched."""
+        return SPEED_RANGE if self.in_space else "cruise"
+
     @property
     def scenario(self) -> Scenario:
         """The storms; raises ValueError if they are too slow for the fins of the vehicle."""
-        return self.sea.of(changed(PRESETS[f"{SPEED_RANGE}-storm"], self.vehicle_model))
+        return self.sea.of(changed(as_scenario(f"{self.speed_range}-storm"), self.vehicle_model))
 
 
 def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: Workers) -> str:
@@ -82,7 +89,8 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
             print(f"searched the gains of {name} for the vehicle", file=sys.stderr)
         best = better_gains(out)
         own = [str(agent) for agent in agents]
-        policies = *own, *(f"{agent}{GUARD}={best}" for agent in own), comparison.agent, *map(str, files.values())
+        guarded = [] if comparison.in_space else [f"{agent}{GUARD}={best}" for agent in own]
+        policies = *own, *guarded, comparison.agent, *map(str, files.values())
         comparison.scenario.save(out / STORM)
         options = Options(
             (*policies, OPTIMUM_POLICY),
@@ -110,16 +118,18 @@ def better_gains(out: Path) -> Path:
 
 def search(name: str, comparison: Comparison, file: Path) -> str:
     """Search the gains of a controller, write them to a file as `auv-gym tune` does, and return the name."""
-    own, tunable = comparison.vehicle_model.in_paper_units, TUNABLES[name]
-    start = adapted_gains(name, SPEED_RANGE, tunable.names, own)
+    own, speed_range = comparison.vehicle_model.in_paper_units, comparison.speed_range
+    tunable = (SPACE_TUNABLES if comparison.in_space else TUNABLES)[name]
+    vehicle: Any = own.in_space if comparison.in_space else own.vehicle
+    start = adapted_gains(name, speed_range, tunable.names, own)
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         world, model, sea = tunable.world, comparison.vehicle_model, comparison.sea
-        return TuningEpisodes(SPEED_RANGE, episodes, seed, world, model, sea)
+        return TuningEpisodes(speed_range, episodes, seed, world, model, sea)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # of the expert, which the record compares with
-        record = search_record(tunable, draw, start, CONTROLLERS[name], own.vehicle, CHECKED, show=lambda *_: None)
+        record = search_record(tunable, draw, start, CONTROLLERS[name], vehicle, CHECKED, show=lambda *_: None)
     write_atomically(file, json_text({"controller": name, **record}))
     return name
 

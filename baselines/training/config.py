@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.records import from_record
 from auv_gym.scenarios.scenario import Scenario
@@ -52,7 +53,7 @@ class Config:
     algo: str = "apg"  # one of `ALGORITHMS`
     scenarios: tuple[tuple[Scenario, float], ...] = ()  # training scenarios with weights
     expert: str = EXPERT  # name of the policy whose action is corrected, or `open_loop.NO_EXPERT`
-    authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
+    authority: tuple[float, ...] = (0.5, 0.5)  # largest correction of each channel, fractions of the limits, (0, 2]
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)  # of the algorithm, plain JSON values
@@ -64,7 +65,8 @@ class Config:
         if self.algo not in ALGORITHMS:
             raise ValueError(f"unknown algorithm {self.algo!r}; allowed are {', '.join(ALGORITHMS)}")
         _check_scenarios(self.scenarios)
-        object.__setattr__(self, "authority", checked_authority(self.authority))
+        channels = len(self.scenarios[0][0].parts.model.channels)
+        object.__setattr__(self, "authority", checked_authority(self.authority, channels))
         for name, least, most in (("seed", 0, LARGEST_SEED), ("timesteps", 1, 10**12)):
             check_integer(name, getattr(self, name), least, most)
         if not isinstance(self.whole_model, bool):
@@ -85,11 +87,11 @@ class Config:
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property
-    def known(self) -> Vehicle | VehicleModel | None:
+    def known(self) -> Vehicle | VehicleModel | SpaceVehicle | None:
         """What the expert is made for: `vehicle`, with its limits and lag if `whole_model`."""
         known = self.scenarios[0][0].known
         same = all(scenario.known == known for scenario, _ in self.scenarios)
-        return known if self.whole_model and same else self.vehicle
+        return known if same and (self.whole_model or isinstance(known, SpaceVehicle)) else self.vehicle
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -12,20 +12,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
 from auv_gym.task.policy import Policy
 from baselines.agents.names import PolicyName
 from baselines.evaluation.runner import failure
 from baselines.gains.loading import adapted_gains, checked_gains, load_gains, recorded_gains, write_gains
 from baselines.policies import make_policy
+from baselines.space import SPEED_RANGE
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, checked, parse, typed
 from baselines.tools.files import read_json, write_atomically
-from baselines.tuning.objective import TUNABLES, Tunable, TuningEpisodes, tuning_scenarios
+from baselines.tuning.objective import SPACE_TUNABLES, TUNABLES, Tunable, TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import (
     EVALUATIONS,
     TUNING_EPISODES,
@@ -55,8 +56,8 @@ class Options:
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """The controller, or FILE.py:FACTORY."""
-    speed_range: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
-    """Speed range to tune for."""
+    speed_range: Annotated[Literal["slow", "cruise", "space"], arg(metavar="slow|cruise|space")] = "cruise"
+    """Speed range to tune for, or motion in space."""
     evaluations: int = EVALUATIONS
     """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
@@ -82,7 +83,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     budget = _budget(options)
     tunable, vehicle_model = _tunable(options), known_vehicle_model(options.vehicle)
-    in_paper_units = vehicle_model.in_paper_units
+    in_paper_units, in_space = vehicle_model.in_paper_units, options.speed_range == SPEED_RANGE
+    vehicle: Any = in_paper_units.in_space if in_space else in_paper_units.vehicle
     start = checked(partial(_start, options, tunable.names, in_paper_units))
     # refused if the vehicle's fins have no effect at such a low speed
     checked(partial(tuning_scenarios, options.speed_range, tunable.world, vehicle_model))
@@ -90,14 +92,13 @@ def main(arguments: Sequence[str]) -> int:
     file = Path("runs/tune") / f"{name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
     if file.exists() and checked(partial(read_json, file)).get("controller") != options.name:
         raise UsageError(f"{file} is the result of another controller of this name; rename one of the two files")
-    checked(partial(tunable.factory, dict(start), vehicle=in_paper_units.vehicle))
+    checked(partial(tunable.factory, dict(start), vehicle=vehicle))
 
     def draw(episodes: int, seed: int) -> TuningEpisodes:
         priced = not options.error_only
         return TuningEpisodes(options.speed_range, episodes, seed, tunable.world, vehicle_model, priced=priced)
 
     try:
-        vehicle = in_paper_units.vehicle
         record = search_record(tunable, draw, start, budget, vehicle, VALIDATION_EPISODES)
     except Exception as error:  # noqa: BLE001, a policy of the user's can raise anything
         print(f"{called(PROGRAM)}: {failure(error, options.name)}", file=sys.stderr)
@@ -125,10 +126,11 @@ def _tunable(options: Options) -> Tunable:
         )
     if options.ship and (own or options.vehicle != PAPER.name or options.error_only):
         raise UsageError("--ship is for controllers of the package, the vehicle of the paper and the whole objective")
-    return Tunable(partial(_of_file, options.name), ()) if own else TUNABLES[options.name]
+    known = SPACE_TUNABLES if options.speed_range == SPEED_RANGE else TUNABLES
+    return Tunable(partial(_of_file, options.name), ()) if own else known[options.name]
 
 
-def _of_file(name: str, gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Policy:
+def _of_file(name: str, gains: dict[str, float], vehicle: Any = PAPER_VEHICLE) -> Policy:
     return make_policy(name, vehicle, **gains)
 
 
@@ -147,8 +149,10 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
 def _budget(options: Options) -> Budget:
     """Return the budget; raise UsageError if the controller or a number is wrong."""
     if PolicyName.of(options.name).kind != "python":
-        check_words("controller", [options.name], (*TUNABLES, "FILE.py:FACTORY"))
-    cycle = len(tuning_scenarios(options.speed_range, "adverse"))
+        known = SPACE_TUNABLES if options.speed_range == SPEED_RANGE else TUNABLES
+        check_words("controller", [options.name], (*known, "FILE.py:FACTORY"))
+    world = "plain" if options.speed_range == SPEED_RANGE else "adverse"
+    cycle = len(tuning_scenarios(options.speed_range, world))
     if options.episodes < cycle or options.episodes % cycle:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {cycle}")
     if options.evaluations < 0:

@@ -10,12 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.envs.space import UnderactuatedAUVTrack3DVectorEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import Array
-from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import Sea, changed
 from auv_gym.scenarios.mixtures import adverse
-from auv_gym.scenarios.presets import CASES, PRESETS
+from auv_gym.scenarios.names import CASES, SPACE_CASES
+from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel
 from auv_gym.task.policy import Policy
@@ -24,12 +25,15 @@ from baselines.control.nmpc.controller import NMPC_ADVERSE_GAINS, NMPC_GAINS
 from baselines.evaluation.metrics import Ended, effort, smoothness, steady_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import ERROR_CAPS, capped, has_failed
+from baselines.space import SPEED_RANGE
+from baselines.space import TUNED as TUNED_IN_SPACE
+from baselines.space import tuned as tuned_in_space
 
 
 class Maker(Protocol):
     """Factory of a policy with the same gains at every speed."""
 
-    def __call__(self, gains: dict[str, float], vehicle: Vehicle = ...) -> Policy:
+    def __call__(self, gains: dict[str, float], vehicle: Any = ...) -> Policy:
         """Return the policy for a nominal vehicle, by default the paper's."""
 
 
@@ -57,7 +61,11 @@ TUNABLES: dict[str, Tunable] = {
 """The controllers that can be tuned, by name: add an entry here. It includes those of `TUNED`."""
 
 
-RATE_PRICE = {"slow": 0.0025, "cruise": 0.0007}
+SPACE_TUNABLES: dict[str, Tunable] = {
+    name: Tunable(partial(tuned_in_space, name), names) for name, (names, _) in TUNED_IN_SPACE.items()
+}
+"""The controllers in space that can be tuned, by name."""
+RATE_PRICE = {"slow": 0.0025, "cruise": 0.0007, "space": 0.0007}
 """Weight [s^2] of the squared rate of the command, beside the error in units of the scenario's `error_scale`. The loss
 of the agent `helm` has the same. Without a price a search makes commands rough for a small gain."""
 
@@ -75,7 +83,10 @@ class TuningResult:
 
 
 MORE = {"storm": 5, "noise": 3}
-"""Further scenarios of a cycle. Most of the error is that of storms, and most of it is that of rare divergence."""
+"""Further scenarios of a cycle in the plane. Most of the error is that of storms, and most of it is that of rare
+divergence."""
+MORE_IN_SPACE = {"storm": 6, "noise": 4}
+"""The same in space."""
 
 
 def tuning_scenarios(
@@ -87,7 +98,7 @@ def tuning_scenarios(
     """Return the scenarios to tune on; the episodes cycle through them in this order.
 
     Args:
-        speed_range: "slow" or "cruise".
+        speed_range: "slow" or "cruise", or "space".
         world: "plain" for the eight cases of the speed range and `MORE`; "adverse" for these and as many storms with
             faults.
         vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
@@ -96,8 +107,10 @@ def tuning_scenarios(
     Raises:
         ValueError: its fins have no effect at the speeds of the scenarios.
     """
-    names = (*CASES, *(case for case, times in MORE.items() for _ in range(times)))
-    cases = tuple(PRESETS[f"{speed_range}-{case}"] for case in names)
+    in_space = speed_range == SPEED_RANGE
+    known, more = (SPACE_CASES, MORE_IN_SPACE) if in_space else (CASES, MORE)
+    names = (*known, *(case for case, times in more.items() for _ in range(times)))
+    cases = tuple(as_scenario(f"{speed_range}-{case}") for case in names)
     every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
     if vehicle_model == PAPER and sea == Sea():
         return every
@@ -110,7 +123,7 @@ class TuningEpisodes:
     """A batch of episodes of a speed range, which different policies run repeatedly.
 
     Args:
-        speed_range: "slow" or "cruise".
+        speed_range: "slow" or "cruise", or "space".
         episodes: their number; they cycle through `tuning_scenarios`.
         seed: episode i is drawn with seed + i.
         world: see `tuning_scenarios`.
@@ -134,13 +147,15 @@ class TuningEpisodes:
         self.cap = ERROR_CAPS[speed_range]
         self.steps, self.lost_distance = cycle[0].steps, cycle[0].lost_distance
         price = RATE_PRICE[speed_range] if priced else 0.0
-        self._price = 2 * cycle[0].error_scale * price / cycle[0].control_dt ** 2  # of two channels
-        # No episode ends or begins during a run: one more step than a run has, and a larger `lost_distance`.
+        channels = len(cycle[0].parts.model.channels)
+        self._price = channels * cycle[0].error_scale * price / cycle[0].control_dt ** 2
+        # In the plane no episode ends or begins during a run: it has more steps, and a larger `lost_distance`.
         longer = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in cycle]
         scenarios = [longer[i % len(cycle)] for i in range(episodes)]
 
         def begin(preview: tuple[int, ...]) -> Begun:
-            env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview)
+            make = UnderactuatedAUVTrack3DVectorEnv if cycle[0].vertical else UnderactuatedAUVTrackVectorEnv
+            env = make(len(scenarios), scenarios, preview=preview)
             return env, env.reset(seed=seed)[0]
 
         self._episodes = Repeatable(begin)
@@ -175,7 +190,8 @@ class TuningEpisodes:
         """
         moments = list(self._episodes.play(policy, self.steps))
         errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
-        ended = Ended(steady_rmse(errors), errors.max(axis=0) > self.lost_distance)
+        failed = np.any([m.failed for m in moments], axis=0) | (errors.max(axis=0) > self.lost_distance)
+        ended = Ended(steady_rmse(errors), failed)
         return capped(ended, self.cap), has_failed(ended, self.cap), actions
 
 

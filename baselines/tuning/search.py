@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
 from baselines.evaluation.score import EXPERT
@@ -113,7 +114,7 @@ def search_record(
     draw: Draw,
     start: GainSet,
     budget: Budget,
-    vehicle: Vehicle,
+    vehicle: Vehicle | SpaceVehicle,
     check: int = VALIDATION_EPISODES,
     show: Callable[[str], None] = SHOW,
 ) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
             f"the video would have {frames:.0f} frames; at most {MOST_FRAMES} are allowed: raise --speed, "
             "or give --seconds"
         )
-    policies = checked_policies(options.policy)
+    policies = checked_policies(options.policy, (scenario,))
     checked_folder(options.out.parent)
     fps, speed, seconds = options.fps, options.speed, options.seconds
     try:

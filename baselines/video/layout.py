@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
-from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, GRID, INK, MUTED, WHITE, Canvas, Color
-from auv_gym.rendering.cards import round_down
+from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, GRID, INK, MUTED, SIDE, WHITE, Canvas, Color
+from auv_gym.rendering.cards import draw_depths, round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.video.recording import Instant, RecordedEpisode
 
@@ -41,16 +41,23 @@ class Panel(NamedTuple):
 class FrameRenderer:
     """Draws the frames of a video of several policies in the same episode.
 
-    Its size is in pixels, `path` has the planned positions (n, 2) [m], and a playback speed of 1 is real time.
+    Its size is in pixels, `paths` has the planned positions (n, 2) [m], in space also those from the side, which is the
+    lower part of a panel. A playback speed of 1 is real time.
     """
 
     def __init__(
-        self, pygame: Any, size: tuple[int, int], title: str, panels: Sequence[Panel], path: Array, speed: float
+        self,
+        pygame: Any,
+        size: tuple[int, int],
+        title: str,
+        panels: Sequence[Panel],
+        paths: Sequence[Array],
+        speed: float,
     ) -> None:
         width = size[0]  # a unit is small enough for the texts of each panel to fit, but still legible
         unit = max(min(max(width / 960.0, 0.65), width / (_PANEL * len(panels))), 0.55)  # [px]
         self._canvas = Canvas(pygame, size, unit)
-        self._title, self._panels, self._path, self._speed = title, panels, path, speed
+        self._title, self._panels, self._paths, self._speed = title, panels, paths, speed
         self._width, self._height = self._canvas.extent.tolist()
         largest = max(float(panel.trajectory.error.max()) for panel in panels)
         self._reach = min(max(1.25 * largest, _NEAREST), _FARTHEST)  # [m]
@@ -62,7 +69,8 @@ class FrameRenderer:
         across = (self._width - gap * (len(panels) - 1)) / len(panels)
         boxes = [(i * (across + gap), _TITLE, across, top - _TITLE - 2.0) for i in range(len(panels))]
         parts = [self._canvas.part(box) for box in boxes]
-        self._parts = [(part, Camera(part.extent)) for part in parts]
+        split = [part.split(SIDE) if len(paths) > 1 else (part,) for part in parts]
+        self._parts = [[(view, Camera(view.extent)) for view in views] for views in split]
         self._chart = Chart(self._canvas.part((0.0, top, self._width, self._height - top)), panels)
 
     def frame_at(self, time: float) -> NDArray[np.uint8]:
@@ -70,8 +78,12 @@ class FrameRenderer:
         instants = [panel.trajectory.at(time) for panel in self._panels]
         self._canvas.box((0.0, 0.0, self._width, _TITLE), WHITE)
         self._draw_title(time, instants[0].current)
-        for panel, instant, (canvas, camera) in zip(self._panels, instants, self._parts, strict=True):
-            self._draw_panel(panel, instant, canvas, camera, time)
+        for panel, instant, ((canvas, camera), *below) in zip(self._panels, instants, self._parts, strict=True):
+            self._draw_scene(panel.trajectory, self._paths[0], canvas, camera, time, panel.colour)
+            self._draw_texts(panel, instant, canvas, camera, time)
+            if panel.trajectory.side:
+                self._draw_scene(panel.trajectory.side, self._paths[1], *below[0], time, panel.colour)
+                draw_depths(*below[0])
         self._chart.draw(time)
         return self._canvas.pixels()
 
@@ -93,9 +105,17 @@ class FrameRenderer:
                 draw_ghost(canvas, Body(np.array((x + 18.0, y)), 0.0, 36.0))
             x -= 16.0
 
-    def _draw_panel(self, panel: Panel, instant: Instant, canvas: Canvas, camera: Camera, time: float) -> None:
-        """Draw the vehicle and its surroundings; the reference is in the centre of the panel."""
-        trajectory = panel.trajectory
+    def _draw_scene(
+        self,
+        trajectory: RecordedEpisode,
+        path: Array,
+        canvas: Canvas,
+        camera: Camera,
+        time: float,
+        colour: Color,
+    ) -> None:
+        """Draw the vehicle and its surroundings; the reference is in the centre."""
+        instant, from_side = trajectory.at(time), path is not self._paths[0]
         x, y, psi = instant.reference.tolist()
         camera.look((x, y), self._reach, self._arrow)
         recent = trajectory.state[(trajectory.time <= time) & (trajectory.time >= time - _TRAIL), :2]
@@ -103,7 +123,7 @@ class FrameRenderer:
             time=time,
             state=tuple(instant.state.tolist()),
             reference=(x, y, psi),
-            path=self._path,
+            path=path,
             travelled=int(np.searchsorted(trajectory.time, time, side="right")) - 1,
             trail=np.vstack((recent, instant.state[:2])),
             current=tuple(instant.current.tolist()),
@@ -112,10 +132,14 @@ class FrameRenderer:
             position_error=instant.error,
             title="",
         )
-        draw_world(canvas, camera, view, panel.colour, velocity=False)
+        draw_world(canvas, camera, view, colour, velocity=False, surface=from_side)
         if self._waves:
             arrow = camera.arrow(instant.waves * (self._arrow / self._waves))
             canvas.arrows(camera.project(instant.state[None, :2]), arrow, [_WAVES], 2.5)
+
+    def _draw_texts(self, panel: Panel, instant: Instant, canvas: Canvas, camera: Camera, time: float) -> None:
+        """Draw name and errors of a policy, and the scale."""
+        trajectory = panel.trajectory
         width, height = canvas.extent.tolist()
         canvas.card((8.0, 8.0, width - 16.0, 50.0))
         canvas.box((18.0, 18.0, 8.0, 30.0), panel.colour, radius=3.0)

@@ -62,8 +62,8 @@ class Video:
         longest = max(self.trajectories, key=lambda v: len(v.time))
         policies = [v.policy for v in self.trajectories]
         panels = [Panel(v, label_of(v.policy), _rgb(look(v.policy, policies).colour)) for v in self.trajectories]
-        path = longest.reference[:, :2]
-        renderer = FrameRenderer(import_pygame(), self.size, self.title, panels, path, self.speed)
+        paths = [view.reference[:, :2] for view in (longest, longest.side) if view]
+        renderer = FrameRenderer(import_pygame(), self.size, self.title, panels, paths, self.speed)
         for time in self.times:
             yield renderer.frame_at(time)
 
@@ -93,6 +93,7 @@ def make_video(
     """Make a video of policies side by side in the same episode, write it to a file and return the file.
 
     Each policy has a panel with vehicle, reference, trail and current; a chart below shows the position errors of all.
+    In space a panel has a view from above and one from the side.
 
     Args:
         out: the file: .webp (a loop, needs Pillow) or .mp4 (needs imageio-ffmpeg). Its folder is created.

@@ -12,7 +12,7 @@ from module_pages import replace_folder
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.recorded import recorded_runs
 from baselines.evaluation.report.columns import COLUMNS, ranked
@@ -29,7 +29,7 @@ PAGE = """# {name}
 {case}
 
 ```python
-env = gym.make("auv_gym:UnderactuatedAUVTrack-{name}-v0")
+env = gym.make("auv_gym:UnderactuatedAUVTrack{kind}-{name}-v0")
 ```
 
 ```{{video}} {name}
@@ -55,7 +55,8 @@ columns. A score means little where the expert is already accurate, as in still 
 def page(scenario: Scenario, case: str, entries: list[Entry]) -> str:
     """Return the page of a preset."""
     standings = STANDINGS.format(suite=SUITE, table=standing(entries)) if entries else ""
-    return PAGE.format(name=scenario.name, case=case, standings=standings, parameters=parameters(scenario))
+    kind = "3D" if scenario.vertical else ""
+    return PAGE.format(name=scenario.name, kind=kind, case=case, standings=standings, parameters=parameters(scenario))
 
 
 def standing(entries: list[Entry]) -> str:
@@ -100,9 +101,10 @@ def write(app: Sphinx) -> None:
     )
     cases, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
     entries = [result.entry for result in compare(recorded_runs(load_suite(SUITE)).runs)]
-    for name, scenario in PRESETS.items():
+    for name, scenario in (PRESETS | SPACE_PRESETS).items():
         own = [entry for entry in entries if entry.place == name]
-        texts[f"{name}.md"] = page(scenario, cases[name.removeprefix(f"{speed_range_of(name)}-")], own)
+        case = cases.get(name) or cases[name.removeprefix(f"{speed_range_of(name)}-")]
+        texts[f"{name}.md"] = page(scenario, case, own)
     replace_folder(source / "scenarios", texts)
 
 

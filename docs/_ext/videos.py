@@ -13,9 +13,10 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.score import speed_range_of
+from baselines.space import SPEED_RANGE
 
 FOLDER = "videos"
 """Name of the folder of the files, next to the folder of the built pages."""
@@ -27,8 +28,10 @@ QUICK = "paper-circle"
 
 
 def shown_policies(scenario: str) -> tuple[str, ...]:
-    """Return the policies in the video of a scenario: the expert, and the agent if the scenario has a speed range."""
+    """Return the policies in the video of a scenario: the expert, and with a speed range a second one."""
     speed_range = speed_range_of(scenario)
+    if speed_range == SPEED_RANGE:
+        return "backstepping", "helm-3d"
     return ("backstepping", "helm") if speed_range else ("backstepping",)
 
 
@@ -53,7 +56,7 @@ class VideoDirective(SphinxDirective):
         name = QUICK if "quick" in self.env.app.tags else self.arguments[0]
         names = " and ".join({"backstepping": "the expert"}.get(p, f"`{p}`") for p in shown_policies(name))
         line = f"{names[0].upper()}{names[1:]} in the episode of seed {SEED} of `{name}`, {SPEED:g} times as fast."
-        return [figure(self, video_file(PRESETS[name], Path(self.env.app.outdir).parent / FOLDER), line)]
+        return [figure(self, video_file(as_scenario(name), Path(self.env.app.outdir).parent / FOLDER), line)]
 
 
 def figure(directive: SphinxDirective, file: Path, line: str) -> nodes.figure:

@@ -11,10 +11,21 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.recorded import recorded_runs
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, Score, capped, error_cap, paired, relative_error
+from baselines.evaluation.score import (
+    EXPERT,
+    OPTIMUM_POLICY,
+    Score,
+    capped,
+    error_cap,
+    paired,
+    relative_error,
+    speed_range_of,
+)
 from baselines.evaluation.suites import Suite, SuiteError, load_suite
+from baselines.space import SPACE_POLICIES, SPEED_RANGE
 
-MAIN_AGENT = "helm"  # the agent that the pages compare with `CONTROLLERS`
+MAIN_AGENT, SPACE_AGENT = "helm", "helm-3d"
+"""The agents that the pages compare with `CONTROLLERS`, in the plane and in space."""
 CONTROLLERS = ("nmpc", "nmpc-adverse", "ekf", "los-pid", "lqi")
 """Tuned controllers; an error is compared with that of the best of them in each cell."""
 ROUNDING = 1e-5
@@ -28,6 +39,22 @@ class Results:
 
     suite: Suite
     runs: tuple[Run, ...]
+
+    @property
+    def speed_ranges(self) -> list[str]:
+        """The speed ranges of its cells; "space" is one."""
+        found = (speed_range_of(cell.scenario.name) for cell in self.suite.cells)
+        return [name for name in dict.fromkeys(found) if name]
+
+    @property
+    def agent(self) -> str:
+        """The agent that is compared with the controllers."""
+        return SPACE_AGENT if self.speed_ranges == [SPEED_RANGE] else MAIN_AGENT
+
+    @property
+    def controllers(self) -> list[str]:
+        """Those of `CONTROLLERS` that have run."""
+        return [name for name in CONTROLLERS if name in self.policies]
 
     @cached_property
     def pooled(self) -> list[Entry]:
@@ -60,9 +87,9 @@ class Results:
 
     @cached_property
     def best(self) -> dict[str, str]:
-        """The controller of `CONTROLLERS` with the smallest mean error, by cell."""
-        every = {policy: self.errors(policy) for policy in CONTROLLERS}
-        return {cell: min(CONTROLLERS, key=lambda policy: every[policy][cell].mean()) for cell in self.cases}
+        """The controller with the smallest mean error, by cell."""
+        every = {policy: self.errors(policy) for policy in self.controllers}
+        return {cell: min(every, key=lambda policy: every[policy][cell].mean()) for cell in self.cases}
 
     def to_best(self, errors: Mapping[str, Array]) -> Score:
         """Return the geometric mean over cells of the ratio of mean errors to those of the best controller.
@@ -93,10 +120,13 @@ def results_of(name: str) -> Results:
     """Return the recorded results of a suite.
 
     Raises:
-        SuiteError: results of the expert, of a controller or of `MAIN_AGENT` are missing or outdated.
+        SuiteError: results of the expert, of a controller or of the agent are missing or outdated.
     """
     suite = load_suite(name)
     runs, notes = recorded_runs(suite)
-    if missing := sorted({EXPERT, MAIN_AGENT, *CONTROLLERS} - {run.policy for run in runs}):
+    results = Results(suite, runs)
+    in_space = results.agent == SPACE_AGENT
+    controllers = [p for p in CONTROLLERS if not in_space or p in SPACE_POLICIES]
+    if missing := sorted({EXPERT, results.agent, *controllers} - set(results.policies)):
         raise SuiteError(f"{name} has no valid results of {', '.join(missing)}: {'; '.join(notes) or 'record them'}")
-    return Results(suite, runs)
+    return results

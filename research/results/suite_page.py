@@ -7,14 +7,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, capped, count_failures, error_cap
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.pages import table, with_interval
 from research.results import error_only
-from research.results.collection import CONTROLLERS, MAIN_AGENT, ROUNDING, Results, results_of
+from research.results.collection import ROUNDING, Results, results_of
 from research.trainings.seed_runs import SEED_RUNS, SeedRuns, trained
 
 DESCRIPTIONS = {
@@ -22,13 +21,11 @@ DESCRIPTIONS = {
     "which that of an ultra-short baseline (`usbl`) is beyond the training.",
     "hard-v1": "Storms with one thing that is hard: velocities that fail, correlated noise, dead reckoning, outages, "
     "sharp turns, slow actuators, faults, far starts, other vehicles, other speeds, long missions.",
+    "space-v1": "Motion in space: the disturbances of the training from other seeds, and two fixed levels of position "
+    "noise, of which that of an ultra-short baseline (`usbl`) is beyond the training.",
     "sealed-v3": "Conditions that were secret until all policies were frozen.",
 }
 """What each suite with such a page tests."""
-_CELL_HEADS = (
-    "cell", "best controller", "its error [mm]", f"`{MAIN_AGENT}` [mm]", f"`{MAIN_AGENT}` / best",
-    f"failures: best, `{MAIN_AGENT}`", "command rate / best",
-)  # fmt: skip
 _POLICY_HEADS = ("policy", "error / best", "failures", "effort", "command rate", "time [us]")
 _SEED_HEADS = ("training", "seeds", "error / best", "failures", "command rate")
 
@@ -46,11 +43,11 @@ def context(page: str) -> dict[str, Any]:
         "suite": results.suite,
         "episodes": sum(len(cell.episodes) for cell in results.suite.cells),
         "dates": f"on {dates[0]}" if len(dates) == 1 else f"from {dates[0]} to {dates[-1]}",
-        "agent": MAIN_AGENT,
-        "controllers": ", ".join(map("`{}`".format, CONTROLLERS)),
+        "agent": results.agent,
+        "controllers": ", ".join(map("`{}`".format, results.controllers)),
         "headline": headline(results),
-        "cells": table(_CELL_HEADS, cell_rows(results)),
-        "speed_ranges": [(r, table(_POLICY_HEADS, policy_rows(results, r))) for r in SPEED_RANGES],
+        "cells": table(cell_heads(results.agent), cell_rows(results)),
+        "speed_ranges": [(r, table(_POLICY_HEADS, policy_rows(results, r))) for r in results.speed_ranges],
         "seeds": table(_SEED_HEADS, seed_rows(results, others)) if others else "",
         "zero": EXPERT,
         **(_optimum(results) if OPTIMUM_POLICY in results.policies else {"one": ""}),
@@ -66,14 +63,15 @@ def figures(page: str) -> dict[str, bytes]:
 
 
 def headline(results: Results) -> dict[str, str]:
-    """Return the ratio of `MAIN_AGENT` to the best controllers over all cells, the worst cell, and the failures."""
-    errors = results.errors(MAIN_AGENT)
+    """Return the ratio of the agent to the best controllers over all cells, the worst cell, and the failures."""
+    errors = results.errors(results.agent)
     cells = {cell: results.to_best({cell: own}) for cell, own in errors.items()}
     worst = max(cells, key=lambda cell: cells[cell].mean)
     own, best = (
-        sum(_failed(results, p or best, cell) for cell, best in results.best.items()) for p in (MAIN_AGENT, "")
+        sum(_failed(results, p or best, cell) for cell, best in results.best.items()) for p in (results.agent, "")
     )
     return {
+        "agent": results.agent,
         "ratio": with_interval(results.to_best(errors)),
         "worst": f"{with_interval(cells[worst])} in `{worst}`",
         "failed": f"{own} (best controllers: {best}) of {sum(map(len, errors.values()))}",
@@ -85,11 +83,18 @@ def _failed(results: Results, policy: str, cell: str) -> int:
     return count_failures(results.cases[cell][policy], error_cap(cell))
 
 
+def cell_heads(agent: str) -> tuple[str, ...]:
+    """Return the heads of the columns of `cell_rows`."""
+    mine = f"`{agent}`"
+    own = f"{mine} [mm]", f"{mine} / best", f"failures: best, {mine}"
+    return "cell", "best controller", "its error [mm]", *own, "command rate / best"
+
+
 def cell_rows(results: Results) -> list[list[str]]:
-    """Return a row for each cell: the best controller and `MAIN_AGENT`."""
+    """Return a row for each cell: the best controller and the agent."""
     rows = []
     for cell, best in results.best.items():
-        case, both = results.cases[cell], (best, MAIN_AGENT)
+        case, both = results.cases[cell], (best, results.agent)
         theirs, mine = (capped(case[policy], error_cap(cell)) for policy in both)
         errors = [f"{1e3 * own.mean():.3g}" for own in (theirs, mine)]
         ratio = with_interval(results.to_best({cell: mine}))
@@ -143,7 +148,7 @@ def _optimum(results: Results) -> dict[str, Any]:
     errors = [1e3 * case[OPTIMUM_POLICY].steady_rmse.mean() for case in results.cases.values()]
     return {
         "one": OPTIMUM_POLICY,
-        "oracle": ORACLE,
+        "oracle": ORACLE if ORACLE in results.policies else "",
         "least": f"{min(errors):.3f}",
         "most": f"{max(errors):.3f}",
         "rounding": f"{1e3 * ROUNDING:g}",
@@ -160,12 +165,12 @@ def error_figure(results: Results, policies: Sequence[str]) -> Figure:
         policies: names; * stands for the speed range.
     """
     ratios = {
-        name: {r: results.to_best(errors) for r in SPEED_RANGES if (errors := results.errors(name, r))}
+        name: {r: results.to_best(errors) for r in results.speed_ranges if (errors := results.errors(name, r))}
         for name in policies
     }
     order = sorted(ratios, key=lambda name: sum(ratio.mean for ratio in ratios[name].values()) / len(ratios[name]))
     figure, [[ax]] = panels(1, 1, (7.2, 0.8 + 0.17 * len(order)))
-    for speed_range, colour, marker in zip(SPEED_RANGES, COLOURS, MARKERS, strict=False):
+    for speed_range, colour, marker in zip(results.speed_ranges, COLOURS, MARKERS, strict=False):
         rows = [(i, ratios[name][speed_range]) for i, name in enumerate(order) if speed_range in ratios[name]]
         for i, ratio in rows:
             ax.plot(ratio.ci95, [i, i], color=colour, linewidth=1.6)

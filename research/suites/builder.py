@@ -14,12 +14,11 @@ from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.planning.paths import Spline
-from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import OFFSETS, slewing
-from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, TYPICAL_NOISE
+from auv_gym.scenarios.presets import CASES, PRESETS, SPACE_PRESETS, SPEED_RANGES, TYPICAL_NOISE
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from baselines.evaluation.cells import Cell
@@ -33,7 +32,7 @@ GENTLE = ("line", "circle", "sine", "random_smooth")
 with little sway drag."""
 POSITION_FIXES = {"rtk": 0.2, "usbl": 20.0}
 """Fixed levels of the position noise of benchmark-v3 by instrument, as multiples of `TYPICAL_NOISE`."""
-_EPISODES = {"benchmark-v3": 150, "benchmark-v3-validation": 50, "hard-v1": 40, "sealed-v3": 64}
+_EPISODES = {"benchmark-v3": 150, "benchmark-v3-validation": 50, "hard-v1": 40, "sealed-v3": 64, "space-v1": 128}
 """Number of episodes in a cell."""
 VEHICLE_EPISODES = {"cruise": 16, "slow": 4}  # episodes in a cell of vehicles-v3
 # Numbers of hard-v1:
@@ -76,6 +75,13 @@ def _benchmark(name: str) -> list[Recipe]:
         for case in ("noise", "storm")
         for fix in POSITION_FIXES
     ]
+
+
+def _space(name: str) -> list[Recipe]:
+    """Return the presets in space, and storms with two fixed levels of the noise of the position."""
+    storm = SPACE_PRESETS["space-storm"]
+    fixes = (with_position_noise(storm, "cruise", fix) for fix in POSITION_FIXES)
+    return [Recipe(scenario, SUITE_FAMILIES, _EPISODES[name]) for scenario in (*SPACE_PRESETS.values(), *fixes)]
 
 
 def with_position_noise(scenario: Scenario, speed_range: str, fix: str) -> Scenario:
@@ -175,6 +181,7 @@ BUILDERS: dict[str, tuple[int | None, Callable[[str], list[Recipe]]]] = {
     "benchmark-v3-validation": (1_000_012, _presets),
     "hard-v1": (1_000_013, _hard),
     "vehicles-v3": (1_000_014, _vehicles),
+    "space-v1": (1_000_015, _space),
     **dict.fromkeys(sealed.CHANGES, (None, _sealed)),
 }
 """Suites by name: the seed, or None for the seed of a secret, and the function that returns the recipes. Training
@@ -201,16 +208,15 @@ def _cell(recipe: Recipe, seed: int, index: int) -> Cell:
 
 def _episode(recipe: Recipe, family: str, rng: np.random.Generator) -> Episode:
     """Return an episode; it is drawn again while its path is infeasible."""
-    scenario, act = recipe.scenario, recipe.scenario.actuators
+    scenario = recipe.scenario
     assert isinstance(scenario.path, RandomPath)
-    times = scenario.control_dt * np.arange(scenario.steps + 1, dtype=np.float64)
     while True:
         spline = waypoints(rng, scenario.path, scenario.duration) if recipe.waypoints else None
         speed = spline.speed if spline else scenario.path.speed
         episode = replace(scenario, path=replace(scenario.path, families=(family,), speed=speed)).draw(rng)
         episode = replace(episode, path=spline or episode.path, noise_seed=episode.noise_seed % 2**32)
         try:
-            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max), act.fin)
+            scenario.planner.plan(episode.path)
         except InfeasibleReferenceError:
             continue
         return episode

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"name the suite to {options.action}: {', '.join(BUILDERS)}")
     if options.action in ("seal", "open"):
         check_words("sealed suite", options.name, sealed.CHANGES)
-    check_words("policy", options.policy, list_policies())
+    check_words("policy", options.policy, list_policies(None))
     if (options.secret is None) == (options.action == "open"):
         raise UsageError("open needs --secret WORDS, as seal has printed it; no other action takes it")
     actions = {"build": _build, "check": _check, "seal": _seal, "open": _open, "record": _record, "verify": _verify}
@@ -119,7 +119,7 @@ def _check(name: str, _: Options) -> int:
 def _record(name: str, options: Options) -> int:
     """Record policy by policy, so that an interruption loses the results of one policy only."""
     suite, status = load_suite(name), DONE
-    for policy in options.policy or list_policies():
+    for policy in options.policy or list_policies(any(cell.scenario.vertical for cell in suite.cells)):
         runs = _run(policy, suite.cells_in(speed_ranges_of(policy)), options)
         if failed := [run for run in runs if run.measures is None]:
             print(f"{called(PROGRAM)}: {policy} in {failed[0].scenario.name}: {failed[0].error}", file=sys.stderr)
@@ -132,7 +132,7 @@ def _record(name: str, options: Options) -> int:
 def keep(suite: Suite, runs: Sequence[Run], file: Path) -> None:
     """Write the runs of a policy to a file of recorded results, in place of its earlier ones and in a fixed order."""
     content = read_recorded(suite, file) if file.exists() else ResultFile((), suite.name, suite.hash, PROGRAM)
-    order, cells = list(list_policies()), [cell.scenario.name for cell in suite.cells]
+    order, cells = list(list_policies(None)), [cell.scenario.name for cell in suite.cells]
     compact = [replace(r, measures=recorded_measures(r.measures), tracks=(), bands=None) for r in runs if r.measures]
     all_runs = content.with_runs(compact).runs
     ordered = sorted(all_runs, key=lambda run: (order.index(run.policy), cells.index(run.scenario.name)))

@@ -101,6 +101,18 @@ HELM: Mapping[str, Any] = {
 """Changes for `helm`, which has no expert."""
 SMALL_AGENT: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "derivative_bound": 12, "hidden_size": 11}
 """Changes for `helm-small`, for a microcontroller: about 2,000 weights, shorter windows, errors without weighting."""
+IN_SPACE: Mapping[str, Any] = {
+    **RELATIVE_ERRORS,
+    "preview": [5, 10, 20, 40],
+    "hidden_size": 128,
+    "effort_weight": 0.0012,
+    "rate_weight": RATE_PRICE["space"],
+    "fine": True,
+    "learning_rate": 0.002,
+    "matrix_learning_rate": 0.013,
+    "validations": 4,
+}
+"""Changes for `helm-3d`, which corrects the law in space."""
 ANY_VEHICLE: Mapping[str, Any] = {
     **RELATIVE_ERRORS,
     "groups": 2,
@@ -117,6 +129,7 @@ SHIPPED_TRAININGS = {
     "helm": training("apg", "helm", (1.0,), NO_EXPERT, 38_000_000, {**HELM, "restart": 0.63}),
     "helm-any": training("apg", "helm", timesteps=80_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL_AGENT),
+    "helm-3d": training("apg", "space", (1.0,), None, 12_000_000, IN_SPACE),
     "ppo-cruise": training("ppo", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000, WIDE),
     "ppo-slow": training("ppo", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000, WIDE),
 }
@@ -133,5 +146,6 @@ class SeedTraining(NamedTuple):
 
 SEED_TRAININGS: Mapping[str, SeedTraining] = {
     "helm": SeedTraining(SHIPPED_TRAININGS["helm"], 3),
+    "helm-3d": SeedTraining(SHIPPED_TRAININGS["helm-3d"], 3, ("space-v1",)),
 }
 """The trainings of the study, by name."""

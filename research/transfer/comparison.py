@@ -1,6 +1,7 @@
 """Run the same policies in the plane and in six degrees of freedom, and compare: `python -m research transfer`.
 
-Each row is a policy on a vehicle; the page compares the growth of errors and the ranks of the policies.
+Each row is a policy on a vehicle; the page compares the growth of errors and the ranks of the policies. Rows in space
+compare the vehicle with five degrees of freedom with that of six.
 """
 
 from __future__ import annotations
@@ -8,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.vehicles import vehicle_model
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.fingerprints import code_fingerprint
@@ -25,70 +26,99 @@ from baselines.evaluation.score import cap_of, capped, count_failures
 from baselines.policies import make_policy
 from research.seeds import TRANSFER
 from research.study import Study, stamp
-from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator, bodies
+from research.transfer.simulators import IN_SPACE, SIX_DOF_MODELS, SixDofSimulator, bodies
+from research.transfer.six_dof import SpatialMotion
 from research.transfer.trials import steady_motion
 
-_POLICIES = (
-    "backstepping",
-    "backstepping-normalised",
-    "integral-normalised",
-    "ilos",
-    "los-pid",
-    "lqi",
-    "ekf",
-    "nmpc",
-    "helm",
-    "helm-any",
-)
-_CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
-"""Cases with the same disturbances in both simulators, which have different actuator lags."""
-_EPISODES = 64  # of each case
-_SPEED_RANGE = "cruise"  # the only speed range of vehicles with fins
 PLANE = "plane"  # the simulator with three degrees of freedom
 SPACE = "space"  # the simulator with six degrees of freedom
+FIVE, SIX = "5-DOF", "6-DOF"  # both simulators of motion in space
+
+
+class Part(NamedTuple):
+    """A comparison of two simulators; its cases have the same disturbances in both, but other lags of actuators."""
+
+    policies: tuple[str, ...]
+    cases: tuple[str, ...]
+    models: Mapping[str, Any]  # see `SixDofSimulator`
+    places: tuple[str, str]  # names of the simulators
+
+
+_LAWS = ("backstepping", "backstepping-normalised", "los-pid", "lqi")  # in the plane and in space
+_IN_PLANE = "cruise"  # the only speed range of vehicles with fins
+_IN_SPACE = "space"
+_PARTS = {
+    _IN_PLANE: Part(
+        (*_LAWS[:2], "integral-normalised", "ilos", *_LAWS[2:], "ekf", "nmpc", "helm", "helm-any"),
+        ("calm", "noise", "current", "waves", "mismatch", "storm"),
+        SIX_DOF_MODELS,
+        (PLANE, SPACE),
+    ),
+    _IN_SPACE: Part((*_LAWS, "ekf", "nmpc", "helm-3d"), ("calm", "current", "waves", "storm"), IN_SPACE, (FIVE, SIX)),
+}
+"""The comparisons by the speed range of their scenarios."""
+_EPISODES = 64  # of each case
 _TRIALS = "trials"  # the row of a vehicle with its steady motion in both simulators
 GROWTH = 1.5  # criterion: largest ratio of the errors
 TAU = 0.8  # criterion: smallest rank correlation
 
 
-def _measure(vehicle: str, policy: str, quick: bool = False) -> dict[str, Any]:
-    """Return capped steady-state errors [m] and failures of a policy, by case and simulator, or the steady motion."""
+def _measure(vehicle: str, policy: str, speed_range: str = _IN_PLANE, quick: bool = False) -> dict[str, Any]:
+    """Return capped steady-state errors [m] and failures of a policy, by case and simulator, or the steady motion.
+
+    In space it returns the largest roll [deg] in the steady part of each episode too.
+    """
     if policy == _TRIALS:
         return steady_motion(vehicle)
-    known, n = vehicle_model(vehicle).vehicle, 2 if quick else _EPISODES
-    cells, made = transfer_cells(vehicle, n), make_policy(policy, known)
-    simulators = {PLANE: None, SPACE: bodies(lambda count: SixDofSimulator(vehicle, count), known)}
-    rows: dict[str, dict[str, Any]] = {case: {} for case in _CASES}
-    for place, simulator in simulators.items():
-        scenario, log = cells[0].scenario, EpisodeLog(cells[0].scenario.steps, n * len(cells), 2)
+    part = _PARTS[speed_range]
+    n = 2 if quick else _EPISODES
+    cells = transfer_cells(vehicle, n, speed_range)
+    scenario, count = cells[0].scenario, n * len(cells)
+    known = scenario.vertical.vehicle(scenario) if scenario.vertical else scenario.vehicle
+    made, space = make_policy(policy, known), SixDofSimulator(vehicle, count, part.models)
+    rows: dict[str, dict[str, Any]] = {case: {} for case in part.cases}
+    for place, simulator in zip(part.places, (None, bodies(lambda _: space, known)), strict=True):
+        log, roll = EpisodeLog(scenario.steps, count, len(scenario.parts.model.channels)), np.zeros(count)
         begun = beginning([(cell.scenario, cell.episodes) for cell in cells], preview_of(made), simulator=simulator)
         for k, moment in enumerate(play(made, begun, scenario.steps)):
             log.add(k, moment)
+            if k >= scenario.steps // 3:
+                roll = np.where(log.running, np.fmax(roll, np.abs(SpatialMotion(*space.rows[:12]).phi)), roll)
         measures = log.measures(scenario)
-        for i, (case, cell) in enumerate(zip(_CASES, cells, strict=True)):
-            of_case, cap = measures[i * n : (i + 1) * n], cap_of(cell.scenario)
+        for i, (case, cell) in enumerate(zip(part.cases, cells, strict=True)):
+            own = slice(i * n, (i + 1) * n)
+            of_case, cap = measures[own], cap_of(cell.scenario)
             errors = [float(f"{x:.6g}") for x in capped(of_case, cap)]
             rows[case][place] = {"steady_rmse": errors, "failed": count_failures(of_case, cap)}
+            if place == SIX:
+                rows[case][place]["roll_deg"] = [float(f"{x:.3g}") for x in np.degrees(roll[own])]
     return rows
 
 
-def transfer_cells(vehicle: str, episodes: int) -> list[Cell]:
+def _scenarios(vehicle: str, speed_range: str) -> list[Scenario]:
+    return [as_scenario(f"{speed_range}-{case}@{vehicle}") for case in _PARTS[speed_range].cases]
+
+
+def transfer_cells(vehicle: str, episodes: int, speed_range: str = _IN_PLANE) -> list[Cell]:
     """Return the cell of each case, all with the largest number of integration steps that a case needs."""
-    scenarios = [as_scenario(f"{_SPEED_RANGE}-{case}@{vehicle}") for case in _CASES]
+    scenarios = _scenarios(vehicle, speed_range)
     substeps = max(scenario.substeps for scenario in scenarios)
     return [drawn(replace(scenario, substeps=substeps), episodes, TRANSFER.first) for scenario in scenarios]
 
 
-def _stamp(vehicle: str, policy: str) -> str:
+def _stamp(vehicle: str, policy: str, speed_range: str = _IN_PLANE) -> str:
     code = code_fingerprint(Path(__file__).parent)
     if policy == _TRIALS:
         return code
-    return stamp(policy, [as_scenario(f"{_SPEED_RANGE}-{case}@{vehicle}") for case in _CASES], code, _EPISODES)
+    return stamp(policy, _scenarios(vehicle, speed_range), code, _EPISODES)
 
 
 STUDY = Study(
     "transfer",
-    [(vehicle, row) for vehicle in SIX_DOF_MODELS for row in (*_POLICIES, _TRIALS)],
+    [
+        *((vehicle, row) for vehicle in SIX_DOF_MODELS for row in (*_PARTS[_IN_PLANE].policies, _TRIALS)),
+        *((vehicle, policy, _IN_SPACE) for vehicle in IN_SPACE for policy in _PARTS[_IN_SPACE].policies),
+    ],
     _measure,
     _stamp,
 )
@@ -130,7 +160,9 @@ def _best(names: Sequence[str], means: Array) -> list[str]:
     return [names[i] for i in (order[0], *level)]
 
 
-def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
+def summary(
+    results: Mapping[str, Mapping[str, Mapping[str, Any]]], places: tuple[str, str] = (PLANE, SPACE)
+) -> dict[str, Any]:
     """Return the summary of a vehicle's results: errors and growth by policy, and rank correlations.
 
     Intervals are the 2.5th and 97.5th percentile over resampled episodes, the same ones in both simulators and for all
@@ -138,16 +170,17 @@ def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
 
     Args:
         results: results of `_measure`, by policy and case.
+        places: names of the simulators.
     """
-    names, cases = list(results), list(next(iter(results.values())))
+    names, cases, (plain, full) = list(results), list(next(iter(results.values()))), places
     steady_rmses = {
         place: [np.array([results[name][case][place]["steady_rmse"] for name in names]) for case in cases]
-        for place in (PLANE, SPACE)
+        for place in places
     }
     means = {place: pooled(errors) for place, errors in steady_rmses.items()}
     by_case = {place: np.array([e.mean(axis=1) for e in errors]) for place, errors in steady_rmses.items()}
-    growth, growth_by_case = means[SPACE] / means[PLANE], by_case[SPACE] / by_case[PLANE]
-    taus = concordance(means[PLANE], means[SPACE])
+    growth, growth_by_case = means[full] / means[plain], by_case[full] / by_case[plain]
+    taus = concordance(means[plain], means[full])
     policies = {
         name: {
             "error_m": {place: float(means[place][0, i]) for place in means},
@@ -159,13 +192,13 @@ def summary(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
         for i, name in enumerate(names)
     }
     return {
-        "episodes": steady_rmses[PLANE][0].shape[1],
+        "episodes": steady_rmses[plain][0].shape[1],
         "cases": cases,
         "policies": policies,
         "best": {place: _best(names, means[place]) for place in means},
         "tau": float(taus[0]),
         "tau_ci95": _ends(taus[1:]),
-        "tau_by_case": concordance(by_case[PLANE], by_case[SPACE]).tolist(),
+        "tau_by_case": concordance(by_case[plain], by_case[full]).tolist(),
     }
 
 
@@ -173,22 +206,63 @@ def context(_: str = "") -> dict[str, Any]:
     """Return the values of the template of docs/transfer.md."""
     values, vehicles = STUDY.values(), []
     for vehicle in SIX_DOF_MODELS:
-        record, rows = summary({policy: values[vehicle, policy] for policy in _POLICIES}), []
+        record, rows = summary({policy: values[vehicle, policy] for policy in _PARTS[_IN_PLANE].policies}), []
         for policy, row in sorted(record["policies"].items(), key=lambda item: item[1]["error_m"][PLANE]):
             errors = (f"{row['error_m'][place]:.3g}" for place in (PLANE, SPACE))
-            growth = "{:.2g} ({:.2g} ... {:.2g})".format(row["growth"], *row["ci95"])
-            failed = f"{row['failed'][PLANE]} / {row['failed'][SPACE]}"
-            rows.append([f"`{policy}`", *errors, growth, failed, *(f"{x:.2g}" for x in row["growth_by_case"])])
-        tau = f"{record['tau']:.2f} ({_between(record['tau_ci95'])})"
+            ratios = (f"{x:.2g}" for x in row["growth_by_case"])
+            rows.append([f"`{policy}`", *errors, *_compared(row), *ratios])
         vehicles.append({
             "name": vehicle,
             "verdict": verdict(record),
             "cases": record["cases"],
             "policies": rows,
-            "ranks": ["tau", *(f"{x:.2f}" for x in record["tau_by_case"]), tau],
+            "ranks": _ranks(record),
             "trials": _trials(values[vehicle, _TRIALS]),
         })  # fmt: skip
-    return {"vehicles": vehicles, "tau": f"{TAU:g}", "growth": f"{GROWTH:g}"}
+    return {"vehicles": vehicles, "tau": f"{TAU:g}", "growth": f"{GROWTH:g}", "in_space": space_section("remus100")}
+
+
+def space_summary(vehicle: str) -> dict[str, Any]:
+    """Return the `summary` in space, with medians of the errors, and median and largest roll [deg] of each policy."""
+    values, part = STUDY.values(), _PARTS[_IN_SPACE]
+    results = {policy: values[vehicle, policy, _IN_SPACE] for policy in part.policies}
+    record = summary(results, part.places)
+    for policy, row in record["policies"].items():
+        own = results[policy]
+        rolls = np.concatenate([own[case][SIX]["roll_deg"] for case in part.cases])
+        errors = np.array([[own[case][place]["steady_rmse"] for case in part.cases] for place in part.places])
+        row["roll_deg"] = float(np.median(rolls)), float(rolls.max())
+        row["median_m"] = dict(zip(part.places, np.median(errors, axis=(1, 2)).tolist(), strict=True))
+        row["median_growth_by_case"] = np.divide(*np.median(errors, axis=2)[::-1]).tolist()
+    return record
+
+
+def space_section(vehicle: str) -> dict[str, Any]:
+    """Return the values of the template for the comparison in space."""
+    record, rows = space_summary(vehicle), []
+    for policy, row in sorted(record["policies"].items(), key=lambda item: item[1]["error_m"][FIVE]):
+        errors = (f"{row[kind][place]:.3g}" for kind in ("median_m", "error_m") for place in (FIVE, SIX))
+        roll, ratios = "{:.2g} / {:.2g}".format(*row["roll_deg"]), (f"{x:.2g}" for x in row["median_growth_by_case"])
+        rows.append([f"`{policy}`", *errors, *_compared(row), roll, *ratios])
+    growths, rolls = zip(*((row["growth"], row["roll_deg"][1]) for row in record["policies"].values()), strict=True)
+    verdict = (
+        f"With 5-DOF {_smallest(record['best'][FIVE])}; with 6-DOF {_smallest(record['best'][SIX])}. The mean errors "
+        f"with 6-DOF are {min(growths):.2f} to {max(growths):.2f} times those with 5-DOF. Kendall's tau is "
+        f"{record['tau']:.2f} ({_between(record['tau_ci95'])}). The largest roll is {max(rolls):.1f} degrees."
+    )
+    return {"verdict": verdict, "cases": record["cases"], "rows": rows, "ranks": _ranks(record)}
+
+
+def _compared(row: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the ratio of the errors with its interval, and the failures in both simulators."""
+    failures = " / ".join(map(str, row["failed"].values()))
+    return "{:.2g} ({:.2g} ... {:.2g})".format(row["growth"], *row["ci95"]), failures
+
+
+def _ranks(record: Mapping[str, Any]) -> list[str]:
+    """Return the rank correlations by case, and over all of them with its interval."""
+    of_all = f"{record['tau']:.2f} ({_between(record['tau_ci95'])})"
+    return ["tau", *(f"{x:.2f}" for x in record["tau_by_case"]), of_all]
 
 
 def _between(interval: Sequence[float]) -> str:

@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from auv_gym.physics.namespaces import FLOATS, Array, Namespace, Number
+from auv_gym.task.model import PLANE, Model
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
@@ -93,6 +94,7 @@ class Otter:
 
     name: ClassVar[str] = "otter"
     size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
+    motion: ClassVar[Model] = PLANE
     mass: ClassVar[float] = _BOAT + PAYLOAD  # [kg]
     draft: ClassVar[float] = (_BOAT + PAYLOAD) / _DENSITY / (2 * _BLOCK * PONTOON_BEAM * _LENGTH)  # [m]
 
@@ -189,7 +191,7 @@ class Otter:
         parts = zip(self.body_forces(s, d, ns), coriolis(momentum, rows[6:12]), acting, strict=True)
         forces = [body - turning + other for body, turning, other in parts]
         return [
-            *place_rates(s, (inputs.V_x, inputs.V_y), ns),
+            *place_rates(s, (inputs.V_x, inputs.V_y, 0.0), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, scale),
             *((order - n) / PROPELLER_LAG for order, n in zip(orders, a, strict=True)),
         ]

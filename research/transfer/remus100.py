@@ -15,7 +15,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import Array, Namespace, Number
+from auv_gym.physics.space import from_ned, to_ned
+from auv_gym.task.model import PLANE, Model
+from auv_gym.task.space import SPACE
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
@@ -125,10 +129,10 @@ def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
     return 60.0 * ns.clip(ns.where(target < 0.0, astern, ahead), -RPM_MOST / 60, RPM_MOST / 60)
 
 
-def rudder(F_r: Number, speed: Number, ns: Namespace) -> Number:
-    """Return the rudder angle [rad] for a yaw moment F_r [N m] at a speed [m/s] through water."""
-    per_radian = _NOSE * 0.5 * _DENSITY * FIN_AREA * RUDDER_LIFT * (speed * speed + 1e-6)
-    return ns.clip(F_r / per_radian, -FIN_MOST, FIN_MOST)
+def fin_angle(moment: Number, lift: float, speed: Number, ns: Namespace) -> Number:
+    """Return the angle [rad] of fins for a moment [N m], a lift coefficient [1/rad] and a speed [m/s] of the flow."""
+    per_radian = _NOSE * 0.5 * _DENSITY * FIN_AREA * lift * (speed * speed + 1e-6)
+    return ns.clip(moment / per_radian, -FIN_MOST, FIN_MOST)
 
 
 def pitch_error(s: SpatialMotion, a: _Actuators) -> Number:
@@ -142,6 +146,7 @@ class Remus100:
 
     name: ClassVar[str] = "remus100"
     size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
+    motion: ClassVar[Model] = PLANE
 
     @cached_property
     def rigid(self) -> Array:
@@ -205,14 +210,20 @@ class Remus100:
         c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
         Y, N = cross_flow(s.v, s.r, _LENGTH, DIAMETER, DIAMETER, _DENSITY)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
+        W = d.stiffness * W
+        d_w, d_q, Z_ww, M_qq = self.vertical(d)
         return (
             d.d_u * (n * lift - c * drag - M[0] / T_SURGE * decay * s.u) - d.X_uu * abs(s.u) * s.u,
             d.d_v * (Y - M[1] / _T_SWAY * decay * s.v) - d.Y_vv * abs(s.v) * s.v,
-            -n * drag - c * lift - M[2] / _T_SWAY * s.w,
+            d_w * (-n * drag - c * lift - M[2] / _T_SWAY * s.w) - Z_ww * abs(s.w) * s.w,
             -roll * s.p - W * ns.cos(s.theta) * ns.sin(s.phi),
-            -pitch * s.q - W * ns.sin(s.theta),
+            -d_q * pitch * s.q - W * ns.sin(s.theta) - M_qq * abs(s.q) * s.q,
             d.d_r * (N - M[5] / _T_YAW * s.r) - d.N_rr * abs(s.r) * s.r,
         )
+
+    def vertical(self, d: Deviation) -> tuple[Number, ...]:
+        """Return the factors of the drag in heave and pitch, and more quadratic drag [kg/m], [kg m^2]: none."""
+        return 1.0, 1.0, 0.0, 0.0
 
     def coriolis(self, nu: Vector, d: Deviation, ns: Namespace) -> list[Number]:
         """Return C(nu) nu [N], [N m], without the terms that the source leaves out for stability.
@@ -229,35 +240,70 @@ class Remus100:
         return [x + y for x, y in zip(coriolis(momentum, nu), kept, strict=True)]
 
     def orders(self, first: Vector, inputs: ModelInputs, ns: Namespace) -> list[Number]:
-        """Return rudder, stern planes [rad] and revolutions [1/min] for the commanded force and depth 0.
-
-        The autopilot of the source controls the depth: PI control from depth to pitch, and PID control to the planes.
-        """
+        """Return rudder, stern planes [rad] and revolutions [1/min] for the commanded force, see `planes`."""
         s, a = SpatialMotion(*first[:12]), _Actuators(*first[12:])
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
-        plane = KP_THETA * pitch_error(s, a) + KD_THETA * s.q + KI_THETA * a.theta_integral + K_W * s.w
         return [
-            rudder(inputs.F_r, ns.sqrt(s.u * s.u + s.v * s.v), ns),
-            ns.clip(plane, -FIN_MOST, FIN_MOST),
+            fin_angle(inputs.F_r, RUDDER_LIFT, ns.sqrt(s.u * s.u + s.v * s.v), ns),
+            self.planes(s, a, inputs, ns),
             revolutions(inputs.F_u, WAKE * speed, ns),
         ]
+
+    def planes(self, s: SpatialMotion, a: _Actuators, inputs: ModelInputs, ns: Namespace) -> Number:
+        """Return the angle [rad] of the stern planes for depth 0, by the autopilot of the source.
+
+        It has PI control from depth to pitch, and PID control to the planes.
+        """
+        plane = KP_THETA * pitch_error(s, a) + KD_THETA * s.q + KI_THETA * a.theta_integral + K_W * s.w
+        return ns.clip(plane, -FIN_MOST, FIN_MOST)
 
     def rates(self, rows: Vector, orders: Vector, inputs: ModelInputs, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
         s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
-        load = (inputs.X, inputs.Y, 0.0, 0.0, 0.0, inputs.N)
+        load = (inputs.X, inputs.Y, inputs.Z, 0.0, inputs.M, inputs.N)
         parts = zip(
             self.actuation(s, a, ns), self.body_forces(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True
         )
         forces = [acting + body + other - turning for acting, body, other, turning in parts]
         lags = FIN_LAG, FIN_LAG, PROPELLER_LAG
         return [
-            *place_rates(s, (inputs.V_x, inputs.V_y), ns),
+            *place_rates(s, (inputs.V_x, inputs.V_y, inputs.V_z), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
             *((order - now) / lag for order, now, lag in zip(orders, a, lags, strict=False)),
             s.z,
             pitch_error(s, a),
         ]
+
+
+class SpaceRemus100(Remus100):
+    """The vehicle with a commanded pitch moment in place of the depth control.
+
+    Its states are seen as those of a vehicle without roll, in the axes of `physics.space`: the velocities across the
+    body are those along its level and its upward axis.
+    """
+
+    motion: ClassVar[Model] = SPACE
+
+    def placed(self, states: Array) -> Array:
+        """Return the rows, shape (size, n), for the states of a `space.State`, shape (10, n)."""
+        rows = np.zeros((self.size, states.shape[1]))
+        rows[[0, 1, 2, 4, 5, 6, 7, 8, 10, 11]] = to_ned([*states])
+        return rows
+
+    def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
+        """Return the `space.State`, and F_u [N], F_q, F_r [N m] of the actuators."""
+        s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
+        X, _, _, _, M, N = self.actuation(s, a, ns)
+        v, w, q, r = (x for pair in (s[7:9], s[10:12]) for x in to_world(*pair, ns.cos(s.phi), ns.sin(s.phi)))
+        return from_ned((s.x, s.y, s.z, s.theta, s.psi, s.u, v, w, q, r)), (X, -M, -N)
+
+    def planes(self, s: SpatialMotion, a: _Actuators, inputs: ModelInputs, ns: Namespace) -> Number:
+        """Return the angle [rad] of the stern planes for the commanded pitch moment."""
+        return fin_angle(-inputs.F_q, PLANE_LIFT, ns.sqrt(s.u * s.u + s.w * s.w), ns)
+
+    def vertical(self, d: Deviation) -> tuple[Number, ...]:
+        """Return the factors and the drag of the horizontal plane, as `scenarios.vertical` draws a vehicle."""
+        return d.d_v, d.d_r, d.Y_vv, d.N_rr
 
 
 REMUS100 = Remus100()

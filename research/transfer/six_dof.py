@@ -51,6 +51,10 @@ class ModelInputs(NamedTuple):
     X: Number  # [N] load on the vehicle
     Y: Number  # [N]
     N: Number  # [N m]
+    F_q: Number = 0.0  # [N m] these four for motion in space
+    V_z: Number = 0.0  # [m/s]
+    Z: Number = 0.0  # [N]
+    M: Number = 0.0  # [N m]
 
 
 class Deviation(NamedTuple):
@@ -65,6 +69,7 @@ class Deviation(NamedTuple):
     X_uu: Number  # [kg/m] additional quadratic drag
     Y_vv: Number  # [kg/m]
     N_rr: Number  # [kg m^2]
+    stiffness: Number = 1.0  # factor of the restoring moments of the REMUS 100
 
 
 AS_PUBLISHED = Deviation(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
@@ -110,7 +115,7 @@ def place_rates(s: SpatialMotion, current: Vector, ns: Namespace) -> tuple[Numbe
     return (
         ahead * c_psi - across * s_psi + current[0],
         ahead * s_psi + across * c_psi + current[1],
-        down * c_th - s.u * s_th,
+        down * c_th - s.u * s_th + current[2],
         s.p + turn * s_th / c_th,
         s.q * c_phi - s.r * s_phi,
         turn / c_th,
@@ -119,7 +124,7 @@ def place_rates(s: SpatialMotion, current: Vector, ns: Namespace) -> tuple[Numbe
 
 def level(s: SpatialMotion, ns: Namespace) -> tuple[Number, ...]:
     """Return x, y [m], psi [rad], level u, v [m/s] along the heading and relative to the water, psi' [rad/s]."""
-    x_dot, y_dot, _, _, _, psi_dot = place_rates(s, (0.0, 0.0), ns)
+    x_dot, y_dot, _, _, _, psi_dot = place_rates(s, (0.0, 0.0, 0.0), ns)
     c, n = ns.cos(s.psi), ns.sin(s.psi)
     return s.x, s.y, s.psi, c * x_dot + n * y_dot, c * y_dot - n * x_dot, psi_dot
 

@@ -7,6 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pytest
 
+from auv_gym import decode_observation
 from auv_gym.effects import EFFECTS, PACKAGE, Effect, FineReward, Interval, effect
 from auv_gym.effects.base import _check_points, uniform_of
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -18,7 +19,6 @@ from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import vehicle_model
-from auv_gym.task.observation import decode_observation
 from examples.effects import DeadZone, DriftingCompass, TowedBody, Wall
 
 ALL = DeadZone(0.1), DriftingCompass(), TowedBody(), Wall()
@@ -220,7 +220,7 @@ def made(name="Own", unit="1", points=None, **entries):
         ({"points": {"share": lambda x, at: (x[0] * at.own.width, x[1])}}, "no attribute 'width'"),
         ({"unit": "furlong"}, "the unit of Own.size is 'furlong'; it must be one of 1, rad, m, s"),
         ({"__annotations__": {"share": field()[0]}, "share": 0.5}, "a field with the name of a point"),
-        ({"remembers": ("z",)}, "Own remembers 'z'; measurements are x, y, psi, u, v, r"),
+        ({"remembers": ("depth",)}, "Own remembers 'depth'; measurements are x, y, z, theta, psi, u, v, w, q, r"),
     ],
 )
 def test_a_wrong_class_is_refused_when_it_is_made(arguments, message):

@@ -18,6 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from scipy.integrate import solve_ivp
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from auv_gym import decode_observation
 from auv_gym.effects import FineReward
 from auv_gym.physics.dynamics import state_rates
 from auv_gym.planning.paths import PATHS
@@ -26,7 +27,7 @@ from auv_gym.scenarios.names import STEPS
 from auv_gym.scenarios.presets import PAPER_SCENARIO, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.scenarios.vehicles import vehicle_model
-from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.observation import SIZE
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from auv_gym import decode_observation
 from auv_gym.effects.faults import FAULT_KINDS, Fault, RandomFaults, fault_rows
 from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.effects.sensors import Sensors
@@ -16,7 +17,6 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import vehicle_model
-from auv_gym.task.observation import decode_observation
 
 STORM = PRESETS["cruise-storm"]
 BEGIN, END = 20, 40  # control steps

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from auv_gym import decode_observation
 from auv_gym.effects.navigation import DeadReckoning, FixFilter, RandomReckoning, Reckoning, heading_errors
 from auv_gym.effects.sensors import Sensors
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -14,7 +15,6 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import decode_observation
 from auv_gym.task.simulation import SAMPLE, SAMPLE_ROWS, start, step
 from baselines.control.privileged.truth import Truth, samples
 from research.validation.navigation import INSTRUMENTS

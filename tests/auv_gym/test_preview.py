@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import baselines
-from auv_gym import PRESETS, Scenario
+from auv_gym import PRESETS, Scenario, decode_observation
 from auv_gym.effects.sensors import Sensors
 from auv_gym.planning.paths import Spline
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.scenario import RandomPath, Start
-from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import checked_authority
 from auv_gym.task.preview import checked_preview
 

@@ -13,7 +13,7 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from vehicle_sources import SOURCES
 
-from auv_gym import PRESETS, Scenario, list_vehicles
+from auv_gym import PRESETS, Scenario, decode_observation, list_vehicles
 from auv_gym.effects.actuators import LEAST_SHARE, Actuators
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.navigation import RandomReckoning
@@ -31,7 +31,6 @@ from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, VehicleModel, as_vehicle, vehicle_model, vehicle_names
 from auv_gym.scenarios.vehicles.scaling import SCENARIO_POWERS
-from auv_gym.task.observation import decode_observation
 
 VEHICLE_NAMES = pytest.mark.parametrize("name", vehicle_names())
 

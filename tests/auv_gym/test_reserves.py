@@ -67,3 +67,7 @@ def test_reserves_of_an_episode_are_those_in_its_mean_current_within_its_cap():
     for current, w in ((Current(), 0.8), (Current(-0.6), 1.4), (Current(-0.6, cap=0.5), 1.2)):
         surge, _ = scenario.reserves(replace(episode, current=current))
         assert surge == pytest.approx(1 - drag * w / scenario.actuators.F_u_max)
+    with pytest.raises(
+        ValueError, match="reserves are for motion in the plane; scenario 'space-storm' is one in space"
+    ):
+        as_scenario("space-storm").reserves(episode)

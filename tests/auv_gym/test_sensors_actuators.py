@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 from scipy.stats import chi2, kstest
 
+from auv_gym import decode_observation
 from auv_gym.effects.actuators import Actuators, Response, respond
 from auv_gym.effects.navigation import RandomReckoning
 from auv_gym.effects.sensors import Sensors, low_pass
@@ -25,7 +26,6 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import VEHICLES_FOLDER, VehicleModel
-from auv_gym.task.observation import decode_observation
 
 INF = math.inf
 forces = st.tuples(st.floats(-400, 400), st.floats(-200, 200))

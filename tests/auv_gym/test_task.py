@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_gym import decode_observation
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.task import observation as task
 from auv_gym.task.reward import failed, reward
@@ -16,7 +17,7 @@ inside = st.tuples(*(st.floats(-t.scale * t.bound, t.scale * t.bound, allow_subn
 
 @given(inside)
 def test_decoding_returns_the_encoded_numbers_exactly(terms):
-    assert tuple(task.decode_observation(task.encode_observation(terms))) == pytest.approx(terms, rel=1e-15, abs=1e-300)
+    assert tuple(decode_observation(task.encode_observation(terms))) == pytest.approx(terms, rel=1e-15, abs=1e-300)
 
 
 @given(st.tuples(*[st.floats(-1e6, 1e6)] * 6))
@@ -36,7 +37,7 @@ def test_terms_and_scales_are_those_of_trained_agents():
     known = len(SCALES)
     assert {term.name: term.scale for term in task.TERMS[:known]} == SCALES
     assert task.Observation._fields[:known] == tuple(SCALES)
-    np.testing.assert_array_equal(task.decode_observation(np.ones(task.SIZE))[:known], list(SCALES.values()))
+    np.testing.assert_array_equal(decode_observation(np.ones(task.SIZE))[:known], list(SCALES.values()))
 
 
 def test_the_table_in_the_docstring_is_that_of_the_terms():
@@ -72,15 +73,15 @@ def test_forces_become_actions_within_their_limits():
 
 def test_a_batch_is_decoded_as_single_observations():
     rows = np.random.default_rng(0).uniform(-1, 1, (5, task.SIZE + 2))
-    batch = task.decode_observation(rows)
+    batch = decode_observation(rows)
     for i, row in enumerate(rows):
-        assert tuple(column[i] for column in batch) == tuple(task.decode_observation(row))
+        assert tuple(column[i] for column in batch) == tuple(decode_observation(row))
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (2, 3), (1, 2, task.SIZE)])
 def test_wrong_shape_is_refused(shape):
     with pytest.raises(ValueError, match="it must be"):
-        task.decode_observation(np.zeros(shape))
+        decode_observation(np.zeros(shape))
 
 
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-2, 10))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from auv_gym import decode_observation
 from auv_gym.effects.actuators import LONGEST_DELAY, Actuators
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.sensors import Sensors
@@ -14,7 +15,6 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.planning.paths import Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import decode_observation
 
 STEPS = 30
 WHOLE = Scenario(path=Line(0.8, heading=0.3), steps=STEPS)

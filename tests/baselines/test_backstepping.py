@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baselines
+from auv_gym import decode_observation
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE as V
-from auv_gym.task.observation import SIZE, Observation, decode_observation, encode_observation
+from auv_gym.task.observation import SIZE, Observation, action_of, encode_observation
 from baselines.control.backstepping import GAINS, Backstepping, StabilityWarning, lyapunov_terms, tracking_forces
-from baselines.policy import action_of
 
 small = st.floats(-2, 2)
 PAPER = GAINS["paper"]

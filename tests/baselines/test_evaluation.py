@@ -21,7 +21,7 @@ import baselines
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.control import Registration
 from baselines.evaluation import command as evaluation
@@ -30,6 +30,7 @@ from baselines.evaluation import request as request_module
 from baselines.evaluation.cells import drawn
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare
+from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.results import ResultFile
@@ -486,6 +487,26 @@ def test_episodes_that_need_more_than_the_limits_are_said_before_and_counted_apa
         assert row["episodes_within"] == 8 - sum(lines)
         assert row["failed_within"] == int((one.measures.failed & ~cell.beyond).sum())
         assert row["failed"] == int(one.measures.failed.sum())
+
+
+def test_scenarios_in_space_are_evaluated_and_their_depths_are_in_the_report(call, tmp_path, capsys):
+    words = "--scenario", "space-storm", "slow-calm", "--episodes", "2", "--jobs", "1", "--out"
+    assert call("--policy", "los-pid", *words, str(tmp_path / "out")) == 0
+    assert "in their current" not in capsys.readouterr().err  # reserves are those of the plane
+    cells = [drawn(as_scenario(name), 2, 0) for name in ("space-storm", "slow-calm")]
+    runs = run_all(("backstepping", "los-pid"), cells)
+    deep, flat = (scenario["episodes"][0] for scenario in page_data(compare(runs), ())["scenarios"])
+    track = runs[1].tracks[0]
+    np.testing.assert_array_equal(deep["reference"]["depth"], np.round(-100 * track.height[::4, 1]))
+    np.testing.assert_array_equal(deep["vehicles"][1]["depth"], np.round(-100 * track.height[::4, 0]))
+    assert "depth" not in flat["reference"]
+    for policy, message in (
+        ("oracle", "there is no policy 'oracle' in space"),
+        ("cmd:cat", "policy 'cmd:cat' is for motion in the plane"),
+        ("lqi:guard", "there is no guard in space"),
+    ):
+        assert call("--policy", policy, *words, str(tmp_path / "out")) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_a_mission_is_evaluated_and_leaves_its_reference(call, capsys):

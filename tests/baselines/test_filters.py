@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
 
+from auv_gym import decode_observation
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
@@ -18,7 +19,7 @@ from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.scenarios.presets import PRESETS, TYPICAL_NOISE
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
-from auv_gym.task.observation import Observation, decode_observation
+from auv_gym.task.observation import Observation
 from baselines.agents import filters
 from baselines.agents.filters import (
     ACROSS_MEASURED,

@@ -14,20 +14,22 @@ import tomli_w
 import torch
 
 from auv_gym.physics.units import Units
-from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.fitting import Sea, changed
 from auv_gym.scenarios.mixtures import MIXTURES
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS
 from auv_gym.scenarios.records import to_record
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import vehicle_model
 from baselines import make_policy
 from baselines.agents.agent import Agent
+from baselines.agents.names import agent_folder
 from baselines.evaluation.cells import drawn
 from baselines.evaluation.command import main as evaluate
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Run
 from baselines.tools.command_line import parse, run
+from baselines.tools.workers import Workers
 from baselines.training import comparison
 from baselines.training.apg.network import weights_of
 from baselines.training.apg.settings import Settings
@@ -211,6 +213,20 @@ def test_the_comparison_at_the_end(brief, call, capsys):
         name: json.loads(Path(f"out/gains/{name}.json").read_text())["validation"] for name in ("los-pid", "nmpc")
     }
     assert guarded == [f"agent:guard=gains/{min(errors, key=lambda name: errors[name]['error_m'])}.json"]
+
+
+def test_the_comparison_in_space(brief, tmp_path, monkeypatch):
+    """There is no guard in space; storms and searches are those in space."""
+    for name, preset in [*SPACE_PRESETS.items()]:
+        monkeypatch.setitem(SPACE_PRESETS, name, replace(preset, steps=20))
+    agent, lauv = str(agent_folder("helm-3d")), comparison.Comparison(vehicle_model("lauv"), Sea(), "helm-3d", True)
+    comparison.compare(lauv, [Path(agent)], tmp_path / "out", Workers(1))
+    record = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
+    assert record["scenario"] == "space-storm@lauv"
+    found = {row["policy"]: row["error_m"] for row in record["rows"]}
+    own = {agent, "helm-3d", "gains/los-pid.json", "gains/nmpc.json"}
+    assert {*found} == {*own, "backstepping", "clairvoyant"}
+    assert found["helm-3d"] == found[agent]
 
 
 def test_an_interrupted_comparison_is_continued(brief, call, capsys, monkeypatch):

@@ -6,12 +6,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from auv_gym import decode_observation
 from auv_gym.codegen import native
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import ARRAYS
-from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
+from auv_gym.task.observation import SIZE, Observation, action_of
 from auv_gym.task.policy import preview_of
 from baselines import list_policies, make_policy
 from baselines.agents.names import PolicyName

@@ -135,6 +135,16 @@ def test_switch_a_policy_off_and_play(browser, pages):
         )
 
 
+def test_depths_of_scenarios_in_space_are_below_the_map(browser, pages):
+    request = Request.of(Options(scenario=("space-calm",), episodes=1, out=pages / "out"))
+    results = compare(run_all(("backstepping",), request.cells, step_limit=TIMEOUT))
+    (pages / "space.html").write_text(report_html(request, results, pool([r.run for r in results])), encoding="utf-8")
+    with opened(browser, pages / "space.html") as page:
+        ready(page)
+        below = "sea.getContext('2d').getImageData(sea.width / 2, 0.75 * sea.height, 1, 0.2 * sea.height).data"
+        assert page.evaluate(f"new Set({below}).size") > 2  # a curve on white
+
+
 def test_print_has_all_tables(browser, pages):
     with opened(browser, pages / "few.html") as page:
         ready(page)

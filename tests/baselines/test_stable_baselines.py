@@ -11,11 +11,11 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from torch import nn
 
+from auv_gym import decode_observation
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_world
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import decode_observation
 from baselines import make_policy
 from baselines.agents.features import FEATURES
 from baselines.agents.sb3_models import load_model

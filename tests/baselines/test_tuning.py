@@ -22,7 +22,7 @@ from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning import search
 from baselines.tuning.command import main
-from baselines.tuning.objective import RATE_PRICE, TUNABLES, TuningEpisodes, tuning_scenarios
+from baselines.tuning.objective import RATE_PRICE, SPACE_TUNABLES, TUNABLES, TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import EVALUATIONS, POPULATION, TUNING_EPISODES, TUNING_SEED, VALIDATION_SEED, Budget, tune
 
 
@@ -137,7 +137,7 @@ def test_all_controllers_have_the_same_budget():
     assert spent.generations * POPULATION + 12 == spent.evaluations == EVALUATIONS >= 300
     assert sorted(record["tuned"]) == sorted(TUNABLES)
     for name, ranges in record["tuned"].items():
-        assert set(ranges) == set(SPEED_RANGES)
+        assert set(ranges) == {*SPEED_RANGES, *(["space"] if name in SPACE_TUNABLES else [])}
         for speed_range, own in ranges.items():
             assert own["command"].removesuffix(" --ship") == f"auv-gym tune {name} --speed-range {speed_range}"
             assert (own["evaluations"], own["episodes"]) == (EVALUATIONS, TUNING_EPISODES), name

@@ -15,7 +15,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import VEHICLES_FOLDER
 from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env
@@ -267,6 +267,7 @@ def test_the_check_of_a_policy():
     for name in ("backstepping", "ekf", "nmpc", "helm"):
         check_policy(make_policy(name))
     check_policy(Summing())
+    check_policy(make_policy("lqi", as_scenario("space-storm").known), "space-storm")
     for mistake, says in {
         "never forgets": "after episode_start its action is another one than at first",
         "keeps its memory in itself": "it must forget its memory",

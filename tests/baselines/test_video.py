@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from auv_gym.rendering.canvas import SEA_COLOUR
-from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS
 from baselines import make_policy
 from baselines.evaluation.cells import drawn
 from baselines.evaluation.runner import run_all
@@ -25,7 +25,6 @@ from baselines.video.video import Video, _rgb, save_video
 pytest.importorskip("pygame")
 
 ROOT = Path(__file__).parents[2]
-TRIO = ("backstepping", "nmpc", "helm")
 PAIR = ("backstepping", "ppo-cruise")
 COLOURS = [_rgb(look(policy, PAIR).colour) for policy in PAIR]
 
@@ -117,6 +116,27 @@ def test_a_failed_vehicle_stays_at_its_last_position():
     assert len(list(video.frames())) == len(video.times) == 25
 
 
+def test_panels_in_space_have_two_views():
+    """The error is that of the environment in space; views from the side show the height and the pitch."""
+    video = video_of(("backstepping", "los-pid"), SPACE_PRESETS["space-storm"], 3, size=(640, 400))
+    trajectory = video.trajectories[1]
+    env = gym.make("auv_gym:UnderactuatedAUVTrack3D-v0", scenario="space-storm")
+    policy, memory = make_policy("los-pid", env.unwrapped.scenario.known), None
+    observation, info = env.reset(seed=3)
+    for k in range(50):
+        x, y, z, theta, psi, *_ = env.unwrapped.state
+        assert trajectory.error[k] == pytest.approx(info["position_error"], abs=1e-9)
+        assert trajectory.state[k, :2] == pytest.approx([x, y], abs=1e-9)
+        assert np.cos(trajectory.state[k, 2] - psi) == pytest.approx(1.0)
+        assert trajectory.side.state[k, 1:3] == pytest.approx([z, -theta], abs=1e-9)
+        assert trajectory.side.reference[k, 1] == pytest.approx(env.unwrapped.reference.z, abs=1e-9)
+        action, memory = policy.predict(observation, memory, np.array([k == 0]))
+        observation, *_, info = env.step(action)
+    first, *_, last = islice(video.frames(), 1, 30)
+    for rows in (slice(70, 200), slice(220, 285)):  # above, from the side
+        assert (first[rows] != last[rows]).any()
+
+
 def test_loops_contain_their_frames(tmp_path, storm):
     frames = list(islice(storm.frames(), 4))
     with Image.open(save_video(frames, tmp_path / "folder/video.webp", 10)) as image:
@@ -154,6 +174,7 @@ def test_the_command_writes_the_file_and_names_the_episode(tmp_path, capsys):
         ("--speed 0.001", "at most 3600 are allowed"),
         ("--fps 0", "--fps is 0; it must be an integer from 1 to 60"),
         ("--policy a b c d e f", "--policy names 6 policies; a video shows 1 to 5"),
+        ("--scenario space-storm --policy oracle", "there is no policy 'oracle' in space; allowed are backstepping"),
     ],
 )
 def test_wrong_arguments_raise_usage_errors(words, message):
@@ -168,19 +189,26 @@ def test_message_without_pygame_says_what_to_install(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_caption_of_the_video_in_the_documentation():
+@pytest.mark.parametrize(
+    ("preset", "caption", "file", "agent", "picture"),
+    [
+        (PRESETS["cruise-storm"], "The same storm", "storm.webp", "helm", ((820, 470), 101)),
+        (SPACE_PRESETS["space-storm"], "The same in space", "space-storm.webp", "helm-3d", ((700, 420), 81)),
+    ],
+)
+def test_captions_of_the_videos_in_the_documentation(preset, caption, file, agent, picture):
     """The seed is that of the command in the Makefile; numbers are those of 20 episodes; the file is small."""
     page, makefile = ((ROOT / name).read_text(encoding="utf-8") for name in ("docs/videos.md", "Makefile"))
-    caption = " ".join(re.search(r"\*The same storm.*?\*\n", page, re.DOTALL)[0].split())
-    runs = run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), math.inf)
+    words = " ".join(re.search(rf"\*{caption}.*?\*\n", page, re.DOTALL)[0].split())
+    runs = run_all(("backstepping", "nmpc", agent), (drawn(preset, 20, 0),), math.inf)
     first, *others = [run.measures.steady_rmse for run in runs]
     for errors in (first, *others):
-        assert f"{errors.mean():.3f} m" in caption
+        assert f"{errors.mean():.3f} m" in words
     logarithms = [np.log(errors / first) for errors in others]
     usual = int(np.argmin(sum(np.abs(ratios - np.median(ratios)) for ratios in logarithms)))
-    assert f"seed {usual}" in caption
-    assert f"--seed {usual} " in makefile
-    file = ROOT / "docs" / "images" / "storm.webp"
-    assert file.stat().st_size < 1.5e6
-    with Image.open(file) as image:
-        assert (image.size, image.n_frames, image.info["loop"]) == ((820, 470), 101, 0)
+    assert f"seed {usual}" in words
+    assert f"{agent} --scenario {preset.name} --seed {usual} " in makefile
+    image = ROOT / "docs" / "images" / file
+    assert image.stat().st_size < 1.5e6
+    with Image.open(image) as frames:
+        assert (frames.size, frames.n_frames, frames.info["loop"]) == (*picture, 0)

@@ -11,7 +11,7 @@ from baselines import list_policies
 from baselines.evaluation.results import ResultFile
 from baselines.evaluation.score import vehicle_of
 from research import DATA, pages, study
-from research.results import overview, vehicles
+from research.results import overview, suite_page, vehicles
 from research.results.collection import CONTROLLERS, ROUNDING, results_of
 from research.robustness import failure_rate
 
@@ -54,6 +54,18 @@ def test_a_row_of_a_page_by_hand():
 def test_the_readme_shows_the_summary():
     shown = re.findall(r"^\| (`\S+`) \| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert [[name, *cells.split(" | ")] for name, cells in shown] == [row[:4] for row in overview.context()["rows"]]
+
+
+def test_the_readme_has_the_results_in_space():
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    results = results_of("space-v1")
+    rows = {row[0].strip("`"): row for row in suite_page.cell_rows(results)}
+    ratio, failed = (suite_page.headline(results)[key] for key in ("ratio", "failed"))
+    assert f"`helm-3d` has {ratio} times the error of the best controller" in text
+    assert failed == "0 (best controllers: 0) of 1024"
+    assert rows["space-storm"][1] == "`nmpc`"
+    assert f"in storms it has {rows['space-storm'][4]} times the error of `nmpc`" in text
+    assert [p for p in results.policies if p != "clairvoyant" and not results.errors(p)] == []
 
 
 def test_the_table_by_vehicle_has_the_controller_of_the_smallest_error():

@@ -33,7 +33,7 @@ from research.transfer.six_dof import (
 )
 
 ROOT = Path(__file__).parents[2]
-NO_INPUT = ModelInputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_INPUT = ModelInputs(*[0.0] * 7)
 
 
 REFERENCE = {"remus100": remus_acceleration, "otter": otter_acceleration}
@@ -58,8 +58,8 @@ def test_place_rates_turn_as_rotations_do():
     rng = np.random.default_rng(1)
     state = SpatialMotion(*rng.normal(size=12) * 0.5)
     turn = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])
-    rates = place_rates(state, (0.3, -0.1), FLOATS)
-    np.testing.assert_allclose(rates[:3], turn.apply(state[6:9]) + np.array([0.3, -0.1, 0]))
+    rates = place_rates(state, (0.3, -0.1, 0.2), FLOATS)
+    np.testing.assert_allclose(rates[:3], turn.apply(state[6:9]) + np.array([0.3, -0.1, 0.2]))
     h = 1e-6
     later = Rotation.from_euler("ZYX", [s + h * r for s, r in zip(state[5:2:-1], rates[5:2:-1], strict=True)])
     np.testing.assert_allclose((turn.inv() * later).as_rotvec() / h, state[9:], rtol=1e-4)
@@ -96,7 +96,7 @@ def test_inner_loops_give_the_commanded_force():
     n = remus100.revolutions(F, remus100.WAKE * speed, ARRAYS) / 60
     T = 0.9 * 1026 * 0.14**4 * remus100.propeller(n, remus100.WAKE * speed, remus100.KT_0, remus100.KT_J, ARRAYS)
     np.testing.assert_allclose(T, F, atol=1e-9)
-    angle = remus100.rudder(np.array([-0.3, 0.3, 9.0]), 1.0, ARRAYS)
+    angle = remus100.fin_angle(np.array([-0.3, 0.3, 9.0]), remus100.RUDDER_LIFT, 1.0, ARRAYS)
     np.testing.assert_allclose(0.8 * 0.5 * 1026 * 0.0133 * 0.5 * angle[:2], [-0.3, 0.3], rtol=1e-5)
     assert angle[2] == pytest.approx(math.radians(15))
     for F_u, F_r in ((100.0, 20.0), (-60.0, -10.0), (239.0, 60.0), (0.0, 100.0)):
@@ -110,30 +110,35 @@ def test_inner_loops_give_the_commanded_force():
             assert port + starboard == pytest.approx(F_u)
 
 
-class PlanarSimulator:
-    """A simulator with the planar equations of motion, for which the adapter must not change the results."""
+class KnownSimulator:
+    """A simulator with the known equations of motion, for which the adapter must not change the results."""
 
-    def __init__(self, known, substeps):
-        self.known, self.substeps = known, substeps
+    def __init__(self, known, scenario):
+        self.acting, self.substeps, self.model = known.acting, scenario.substeps, scenario.parts.model
 
     def place(self, indices, states, deviations):
         assert np.allclose(deviations, np.array(AS_PUBLISHED)[:, None])
         self.states = states.copy()
 
     def advance(self, inputs, dt):
-        F_u, F_r, V_x, V_y, X, Y, N = inputs
-        (X, Y, N), h = from_outside((X, Y, N), self.known.acting), dt / self.substeps
-        load = F_u + X, Y, F_r + N
+        own, model = ModelInputs(*inputs)._asdict(), self.model
+        forces, current = [own[f"F_{c}"] for c in model.channels], [own[name] for name in model.current]
+        load = list(model.from_outside([own[name] for name in model.load], self.acting))
+        for name, force in zip(model.driven, forces, strict=True):
+            load[model.load.index(name)] += force
         for _ in range(self.substeps):
-            self.states = np.array(rk4_step(tuple(self.states), load, self.known.acting, h, (V_x, V_y), ARRAYS))
-        return self.states, inputs[:2]
+            self.states = model.advance(self.states, tuple(load), self.acting, dt / self.substeps, current, ARRAYS)
+        return np.array(self.states), np.array(forces)
 
 
-def test_with_the_planar_equations_the_adapter_changes_nothing():
-    scenario = replace(as_scenario("cruise-waves@remus100"), current=as_scenario("cruise-current@remus100").current)
-    cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", scenario.vehicle)
+@pytest.mark.parametrize("speed_range", ["cruise", "space"])
+def test_with_the_known_equations_the_adapter_changes_nothing(speed_range):
+    waves, current = (as_scenario(f"{speed_range}-{case}@remus100") for case in ("waves", "current"))
+    scenario = replace(waves, current=current.current, vertical=current.vertical, steps=90)
+    known = scenario.known if scenario.vertical else scenario.vehicle
+    cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", known)
     plain = rollout(policy, scenario, cell.episodes)
-    made = bodies(lambda _: PlanarSimulator(scenario.vehicle, scenario.substeps), scenario.vehicle)
+    made = bodies(lambda _: KnownSimulator(known, scenario), known)
     other = rollout(policy, scenario, cell.episodes, simulator=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
@@ -148,7 +153,7 @@ def test_a_yaw_moment_moves_the_tracked_point_as_in_the_plane(outside):
     for moment in (N, 0.0):
         space, inputs = SixDofSimulator("remus100", 1), NO_INPUT._replace(**{"N" if outside else "F_r": moment})
         space.place([0], start, np.array(AS_PUBLISHED)[:, None])
-        space.rows[12] = remus100.rudder(inputs.F_r, 1.0, FLOATS)  # the angle has no lag
+        space.rows[12] = remus100.fin_angle(inputs.F_r, remus100.RUDDER_LIFT, 1.0, FLOATS)  # the angle has no lag
         load = from_outside((0.0, 0.0, moment), known.acting) if outside else (0.0, 0.0, moment)
         plane = rk4_step(tuple(start[:, 0].tolist()), load, known.acting, t)
         after.append((space.advance(np.array(inputs)[:, None], t)[0][4:, 0], plane[4:]))
@@ -209,7 +214,7 @@ def test_rows_are_summarised():
 def test_the_sentences_of_the_page_are_true():
     values = comparison.STUDY.values()
     remus, boat = (
-        comparison.summary({policy: values[vehicle, policy] for policy in comparison._POLICIES})
+        comparison.summary({policy: values[vehicle, policy] for policy in comparison._PARTS["cruise"].policies})
         for vehicle in ("remus100", "otter")
     )
     for vehicle, record in zip(comparison.context()["vehicles"], (remus, boat), strict=True):

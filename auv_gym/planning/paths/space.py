@@ -7,9 +7,10 @@ lawnmower pattern with `Steps` covers one depth after another, and a line with o
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -18,18 +19,25 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import Path, validate
 
 
-@runtime_checkable
-class SpacePath(Protocol):
+class SpacePath(ABC):
     """A position in space with three continuous time derivatives on a domain of times."""
+
+    @property
+    @abstractmethod
+    def speed(self) -> float:
+        """Nominal speed [m/s], the scale of the path's velocities."""
 
     @property
     def start(self) -> float:
         """First time of the domain [s]; -inf if it is unbounded."""
+        return -math.inf
 
     @property
     def end(self) -> float:
         """Last time of the domain [s]; inf if it is unbounded."""
+        return math.inf
 
+    @abstractmethod
     def derivatives(self, t: Array) -> Array:
         """Return position [m] and its first three time derivatives at times of shape (T,), an array (4, 3, T)."""
 
@@ -108,12 +116,17 @@ def _sine(amplitude: float, frequency: float, phase: float, t: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class WithHeight:
+class WithHeight(SpacePath):
     """A planar path with a height: a `SpacePath`. The speed of the planar path is the level part of the speed."""
 
     path: Path
     height: Height
     z0: float = 0.0  # [m] height at which that of `height` is 0
+
+    @property
+    def speed(self) -> float:
+        """Nominal speed of the planar path [m/s]."""
+        return self.path.speed
 
     @property
     def start(self) -> float:
@@ -134,15 +147,21 @@ class WithHeight:
 
 
 @dataclass(frozen=True)
-class Trefoil:
+class Trefoil(SpacePath):
     """A trefoil knot: x = A (sin th + 2 sin 2 th), y = A (cos th - 2 cos 2 th), z = -B sin 3 th, th = wt + phase."""
 
     size: float  # A [m]
     height: float  # B [m]
     frequency: float  # w [rad/s]
     phase: float = 0.0  # [rad] th at t = 0
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
+    x0: float = 0.0  # [m] centre
+    y0: float = 0.0  # [m]
+    z0: float = 0.0  # [m]
+
+    @property
+    def speed(self) -> float:
+        """Root mean square of the speed [m/s]."""
+        return abs(self.frequency) * math.sqrt(17 * self.size**2 + 4.5 * self.height**2)
 
     def __post_init__(self) -> None:
         validate(self, positive=("size",), nonzero=("frequency",))
@@ -155,4 +174,12 @@ class Trefoil:
             return _sine(amplitude, multiple * self.frequency, multiple * self.phase + lead, t)
 
         x, y = part(A, 1) + part(2 * A, 2), part(A, 1, quarter) - part(2 * A, 2, quarter)
-        return np.stack((x, y, part(-self.height, 3)), axis=1)
+        curve = np.stack((x, y, part(-self.height, 3)), axis=1)
+        curve[0] += np.reshape((self.x0, self.y0, self.z0), (3, *(1,) * t.ndim))
+        return curve
+
+
+HEIGHTS: dict[str, type] = {"climb": Climb, "steps": Steps, "wave": Wave}
+"""The heights by their names in scenarios."""
+SPACE_PATHS: dict[str, type] = {"with_height": WithHeight, "trefoil": Trefoil}
+"""The families of paths in space by their names in scenarios."""

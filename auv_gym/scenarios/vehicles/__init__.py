@@ -73,9 +73,7 @@ class VehicleModel:
     @property
     def space_limits(self) -> Limits:
         """The limits of its actuators in space; the fins of pitch are those of yaw unless `pitch` says otherwise."""
-        a, p = self.actuators, self.pitch
-        F_q_max, fin = a.F_r_max if p.F_q_max is None else p.F_q_max, a.fin if p.fin is None else p.fin
-        return Limits(a.F_u_max, F_q_max, a.F_r_max, fin, a.fin)
+        return self.pitch.limits(self.actuators.F_u_max, self.actuators.F_r_max, self.actuators.fin)
 
     @property
     def in_paper_units(self) -> VehicleModel:

@@ -8,7 +8,7 @@ from typing import Any
 
 from auv_gym.effects.actuators import Actuators
 from auv_gym.effects.sensors import Sensors
-from auv_gym.physics.intervals import Interval
+from auv_gym.physics.intervals import times as scaled
 from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.units import Units
 from auv_gym.planning.paths import Path
@@ -30,11 +30,6 @@ SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
 entries with other rules."""
 _LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
 """SI units of the limits of actuators."""
-
-
-def scaled(value: Interval, factor: float) -> Interval:
-    """Return a number, or both ends of an interval, times a factor."""
-    return (value[0] * factor, value[1] * factor) if isinstance(value, tuple) else value * factor
 
 
 def scaled_part(name: str, part: Any, units: Units) -> Any:

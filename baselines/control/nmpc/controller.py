@@ -16,20 +16,16 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.task.observation import Observation
-from baselines.control.backstepping import GAINS, tracking_forces
 from baselines.control.nmpc.gauss_newton import optimised_plan
 from baselines.control.nmpc.problem import (
-    COMMAND_SIZE,
-    STATE_ROWS,
+    PLANE_SYSTEM,
     CostWeights,
     Horizon,
     OptimalControl,
     Plan,
-    Stage,
+    System,
     replaced,
     subset,
 )
@@ -43,7 +39,6 @@ from baselines.estimation.kalman import (
 )
 from baselines.estimation.sea_model import (
     STATE_SIZE,
-    Estimate,
     current_after,
     lag_response,
     wave_transition,
@@ -73,83 +68,92 @@ NMPC_ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
 class PredictiveControl:
     """Model predictive control with its filter, a `Controller`.
 
-    Its memory is that of the filter, then the last plan's commands, shape (N, K, COMMAND_SIZE), one for each of the
-    `ENDS`, then that of `fin_model`.
+    Its memory is that of the filter, then the last plan's commands, shape (N, K, C), one for each of the `ENDS` and of
+    the C actuators, then that of `fin_model` for each moment, shape (N, C - 1, 3).
     """
 
     preview = PREVIEW
 
-    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
+    def __init__(self, gains: Mapping[str, float], vehicle: Any, system: System = PLANE_SYSTEM) -> None:
         """Make the controller.
 
         Args:
-            gains: with the names `NMPC_GAINS` or `NMPC_ADVERSE_GAINS`.
+            gains: with the names `NMPC_GAINS` or `NMPC_ADVERSE_GAINS`; faults are estimated in the plane alone.
             vehicle: the nominal one.
+            system: the kind of motion.
         """
-        self.vehicle = vehicle
-        self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
+        self.vehicle, self.system, self.layout = vehicle, system, system.model.layout
+        self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains), system.filter)
         scale = {"surge": 0.01, "yaw": 0.01}
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
-        self.problem = OptimalControl(vehicle, weights)
+        self.problem = OptimalControl(vehicle, weights, system)
         self.solve = partial(optimised_plan, self.problem)
         self._shifts = np.stack([shift_matrix(np.multiply(pace, ENDS)) for pace in _PACES])
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return *self.filter.start(n), np.zeros((n, len(ENDS), COMMAND_SIZE)), np.zeros((n, 3))
+        return *self.filter.start(n), np.zeros((n, len(ENDS), c := self.system.commands)), np.zeros((n, c - 1, 3))
 
-    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory for the next call."""
+    def forces(self, o: Any, memory: Memory, extra: Array) -> tuple[Any, ...]:
+        """Return the force of each actuator [N], [N m], shape (N,), and the memory for the next call."""
         *filters, planned, fins = memory
         first = filters[0].T[0] == 0  # number of updates of the filter
-        acting, rescaling, fins = fin_model(o, fins)
-        planned = planned * np.stack((np.ones_like(rescaling), rescaling), axis=1)[:, None]
+        _, *limits = self.system.model.limits(o)
+        models = [fin_model(limit, o.u_R + o.u_e, fins[:, k]) for k, limit in enumerate(limits)]
+        acting = np.concatenate([one for one, _, _ in models])
+        planned = planned * np.stack((np.ones(len(first)), *(factor for _, factor, _ in models)), axis=1)[:, None]
         after, z = self.filter.update(tuple(filters), terms := np.array(o))
         pace = paces(o.dt)
-        target, share = targets(extra, pace), np.ones((COMMAND_SIZE, len(first)))
+        target, share = (
+            targets(extra, pace, len(self.system.model.position)),
+            np.ones((self.system.commands, len(first))),
+        )
         if self.filter.faults:
             faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
             target = delayed_targets(target, faults.delay / pace)
             share = np.array((faults.surge_share, faults.yaw_share))
             z = estimate_after_delay(terms, z, self.vehicle)
-        horizon = prediction_horizon(terms, z, target, share, acting, pace)
+        horizon = prediction_horizon(terms, z, target, share, acting, pace, self.system)
         warm = np.einsum("njk,nki->jin", self._shifts[pace - 1], planned)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._initial_plan(z, o, warm, first, horizon)
             plan = self.solve(guess, horizon, np.where(first, FIRST_STEPS, _STEPS))
         # The prediction diverges for a vehicle that spins fast; the normalised law is stable in this state.
-        law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
+        law = np.array(self.system.law(o, self.vehicle))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
-        F_u, F_r = commands[0] / share
-        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), fins)
+        fins = np.stack([known for _, _, known in models], axis=1)
+        return *(commands[0] / share), (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), fins)
 
-    def _initial_plan(self, z: Array, o: Observation, warm: Array, first: NDArray[np.bool_], horizon: Horizon) -> Plan:
+    def _initial_plan(self, z: Array, o: Any, warm: Array, first: NDArray[np.bool_], horizon: Horizon) -> Plan:
         """Return the better of two initial plans: the last plan, or constant commands with the reference's forces."""
-        limits, load = horizon.limits, Estimate(*z)
-        steady = np.clip(np.array((o.F_uR - load.X, o.F_rR - load.N)), -limits, limits)
-        plan = self.problem.predict(z[:STATE_ROWS], np.broadcast_to(steady, warm.shape), horizon)
-        last = self.problem.predict(z[:STATE_ROWS], np.clip(warm, -limits, limits), horizon)
+        limits, sea = horizon.limits, self.system.filter.sea
+        planned = np.array([getattr(o, f"F_{c}R") for c in sea.model.channels])
+        steady = np.clip(planned - z[sea.bias][list(sea.driven)], -limits, limits)
+        start = z[: self.system.states]
+        plan = self.problem.predict(start, np.broadcast_to(steady, warm.shape), horizon)
+        last = self.problem.predict(start, np.clip(warm, -limits, limits), horizon)
         better = (~first & (last.cost <= plan.cost)).nonzero()[0]
         return replaced(plan, better, subset(last, better))
 
 
-def fin_model(o: Observation, memory: Array) -> tuple[Array, Array, Array]:
-    """Return how the torque of the yaw actuator depends on the speed, identified from its observed limit.
+def fin_model(limit: Array, u: Array, memory: Array) -> tuple[Array, Array, Array]:
+    """Return how the torque of an actuator depends on the speed, identified from its observed limit.
 
     The torque limit of fins is c u^2 with the measured surge speed u. Two different limits with the same c identify
     fins. If the present limit is not c u^2, for example because fins never exceed a largest torque, it is predicted to
     be constant.
 
     Args:
-        o: the observation.
+        limit: observed [N m], shape (N,).
+        u: measured surge speed [m/s], shape (N,).
         memory: the last limit [N m], the last limit over u^2 [kg], and c [kg], or 0 without fins, shape (N, 3).
 
     Returns:
         `Stage.torque` and `Stage.fin`, shape (2, N); the factor by which the limit has changed, shape (N,), with which
         planned torques are scaled; and the memory for the next call.
     """
-    limit, (last, ratio, known) = np.asarray(o.F_r_max), memory.T
-    now = limit / np.maximum(np.square(o.u_R + o.u_e), 1e-12)
+    last, ratio, known = memory.T
+    now = limit / np.maximum(np.square(u), 1e-12)
     known = np.where((limit != last) & (np.abs(now - ratio) <= 1e-6 * now), now, known)
     has_fins = (known > 0) & (np.abs(now - known) <= 1e-6 * known)
     factor = np.where(has_fins & (last > 0), limit / np.where(last > 0, last, 1.0), 1.0)
@@ -165,16 +169,17 @@ def paces(dt: Array) -> NDArray[np.int64]:
     return np.maximum(np.rint(_PERIOD / np.maximum(dt, _PERIOD / _PACES[-1])), 1).astype(np.int64)
 
 
-def targets(extra: Array, pace: NDArray[np.int64]) -> Array:
-    """Return the reference's positions at the ends of the stages, shape (K, 2, N) [m].
+def targets(extra: Array, pace: NDArray[np.int64], axes: int = 2) -> Array:
+    """Return the reference's positions at the ends of the stages, shape (K, axes, N) [m].
 
     They are relative to the reference's position now, in the body frame.
 
     Args:
-        extra: the columns of `PREVIEW`, shape (N, 2 * len(PREVIEW)) or wider.
+        extra: the columns of `PREVIEW`, shape (N, axes * len(PREVIEW)) or wider.
         pace: see `paces`, shape (N,).
+        axes: 2 in the plane, 3 in space.
     """
-    ahead = extra[:, : 2 * len(PREVIEW)].reshape(len(extra), len(PREVIEW), 2)
+    ahead = extra[:, : axes * len(PREVIEW)].reshape(len(extra), len(PREVIEW), axes)
     if (pace == 1).all():  # nearly always; the matrices cost as much as a tenth of a decision
         return ahead[:, : len(ENDS)].transpose(1, 2, 0)
     return np.asarray(np.einsum("nkj,nji->kin", _pace_matrices()[pace - 1], ahead))
@@ -212,17 +217,24 @@ def _interpolation(known: Sequence[int], wanted: Array) -> Array:
 
 
 def prediction_horizon(
-    o: Array, z: Array, target: Array, share: Array, acting: Array, pace: NDArray[np.int64]
+    o: Array,
+    z: Array,
+    target: Array,
+    share: Array,
+    acting: Array,
+    pace: NDArray[np.int64],
+    system: System = PLANE_SYSTEM,
 ) -> Horizon:
     """Return the stages of the horizon.
 
     Args:
         o: the rows of an `Observation`, shape (SIZE, N).
-        z: the rows of an `Estimate`, shape (22, N).
+        z: the rows of an `Estimate`, shape (states, N).
         target: see `targets`.
-        share: of the commanded forces that act, shape (2, N).
-        acting: `Stage.torque` and `Stage.fin`, shape (2, N).
+        share: of the commanded forces that act, shape (C, N).
+        acting: `Stage.torque` and `Stage.fin` of each moment, shape (2 (C - 1), N).
         pace: see `paces`, shape (N,).
+        system: the kind of motion.
     """
     stages = len(ENDS)
     ends = np.array(ENDS, dtype=np.float64)[:, None] * pace
@@ -230,29 +242,31 @@ def prediction_horizon(
     last = np.broadcast_to((np.arange(stages) == stages - 1)[:, None], ends.shape)
     periods = np.stack((lengths, ends - 0.5 * lengths, last), axis=1)
     inputs = {"o": o, "z": z, "target": target, "acting": acting, "periods": periods}
-    first = Observation._fields.index("F_u_max")
-    return Horizon(horizon_kernel()(stages, **inputs)["stages"], share * o[first : first + COMMAND_SIZE])
+    first = system.model.Observation._fields.index("F_u_max")
+    return Horizon(horizon_kernel(system)(stages, **inputs)["stages"], share * o[first : first + system.commands])
 
 
 @cache
-def horizon_kernel() -> Kernel:
+def horizon_kernel(system: System = PLANE_SYSTEM) -> Kernel:
     """Return the kernel of `predicted_stage`; `periods` are length, middle, and 1 for the last stage."""
 
     def equation(
         o: Sequence[Any], z: Sequence[Any], target: Sequence[Any], acting: Sequence[Any], periods: Sequence[Any]
     ) -> Mapping[str, Sequence[Any]]:
         length, middle, last = periods
-        stage = predicted_stage(Observation(*o), Estimate(*z), target, length, middle, SYMBOLS)
-        return {"stages": stage._replace(last=last, torque=acting[0], fin=acting[1])}
+        stage = predicted_stage(seen(*o), sea.Estimate(*z), target, length, middle, SYMBOLS, system)
+        return {"stages": [*stage, last, *acting]}
 
-    rows = {"o": len(Observation._fields), "z": STATE_SIZE, "target": 2, "acting": 2, "periods": 3}
+    sea, seen = system.filter.sea, system.model.Observation
+    axes, moments = len(system.model.position), system.commands - 1
+    rows = {"o": len(seen._fields), "z": sea.size, "target": axes, "acting": 2 * moments, "periods": 3}
     return Kernel.traced(equation, rows, ("target", "periods", "stages"), blocked=True)
 
 
 def predicted_stage(
-    o: Observation, z: Estimate, target: Sequence[Number], length: Number, middle: Number, ns: Namespace
-) -> Stage:
-    """Return a stage with the disturbances predicted in its middle; `last`, `torque` and `fin` are 0, 1 and 0.
+    o: Any, z: Any, target: Sequence[Number], length: Number, middle: Number, ns: Namespace, system: System
+) -> list[Number]:
+    """Return the entries of a stage before `last`, with the disturbances predicted in its middle.
 
     Waves and current are predicted by the filter's model. The slowly varying load is constant: it is mostly the effect
     of model errors, which persist.
@@ -264,14 +278,14 @@ def predicted_stage(
         length: of the stage in control periods.
         middle: of the stage, in control periods from now.
         ns: the namespace of the numbers.
+        system: the kind of motion.
     """
-    dt, ahead = length * o.dt, middle * o.dt
-    X, _, Y, _, N, _ = waves_after(z, wave_transition(ahead, ns))
+    dt, ahead, sea = length * o.dt, middle * o.dt, system.filter.sea
+    waves = waves_after(z, wave_transition(ahead, ns), sea)[::2]
     response = lag_response(z.lag, dt, ns)
-    position, current = to_world(target[0], target[1], o.cos_psi, o.sin_psi), current_after(z, ahead, ns)
-    return Stage(
-        dt, *position, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0, 1.0, 0.0
-    )
+    position, current = system.in_world(target, o, ns), current_after(z, ahead, ns, sea)
+    load = (slow + wave for slow, wave in zip(z[sea.bias], waves, strict=True))
+    return [dt, *position, *current, *load, response.gain, response.gain * response.mean]
 
 
 def shift_matrix(ends: Array) -> Array:

@@ -18,29 +18,26 @@ import numpy as np
 from auv_gym.codegen.derivatives import gradient, jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.codegen.matrices import Matrix, congruence, dot, product, symmetric, triangle
+from auv_gym.codegen.matrices import Matrix, congruence, dot, product, solution, symmetric, triangle
 from auv_gym.physics.namespaces import Array, Namespace, Number
-from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
-    COMMAND_SIZE,
-    STAGE_ROWS,
-    STATE_ROWS,
+    PLANE_SYSTEM,
     CostWeights,
     GaussNewtonStep,
     Horizon,
     Integers,
     OptimalControl,
     Plan,
-    Stage,
+    System,
     actuated,
     constants,
     error_weight,
     next_state,
+    position_errors,
     replaced,
     stage_costs,
     subset,
 )
-from baselines.estimation.sea_model import MOTION_STATES, PLACE
 
 _LENGTHS = (1.0, 0.3, 0.05)
 """Fractions of a step in the line search, in this order. If none lowers the cost, the commands stay unchanged."""
@@ -80,12 +77,12 @@ def after_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> tuple[P
 
 def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> GaussNewtonStep:
     """Return the Gauss-Newton step at a plan, with commands within their limits, see `riccati_kernel`."""
-    steps, _, n = plan.commands.shape
-    step, feedback = np.empty_like(plan.commands), np.empty((steps, COMMAND_SIZE * STATE_ROWS, n))
+    (steps, controls, n), size = plan.commands.shape, problem.system.states
+    step, feedback = np.empty_like(plan.commands), np.empty((steps, controls * size, n))
     decrease, constant = np.zeros((1, n)), problem.constant(n)
-    riccati_kernel(problem.substeps, len(constant)).bound(
-        slope=np.zeros((STATE_ROWS, n)),
-        curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
+    riccati_kernel(problem.substeps, len(constant), problem.system).bound(
+        slope=np.zeros((size, n)),
+        curvature=np.zeros((size * (size + 1) // 2, n)),
         decrease=decrease,
         state=plan.states[:-1],
         command=plan.commands,
@@ -100,7 +97,7 @@ def gauss_newton_step(problem: OptimalControl, plan: Plan, horizon: Horizon) -> 
 
 
 @cache
-def riccati_kernel(substeps: int, size: int) -> Kernel:
+def riccati_kernel(substeps: int, size: int, system: System = PLANE_SYSTEM) -> Kernel:
     """Return the kernel of the recursion, which runs from the last stage to the first.
 
     Its results are the derivatives V_x, V_xx of the cost to go one stage earlier, step and feedback of the command, and
@@ -112,30 +109,32 @@ def riccati_kernel(substeps: int, size: int) -> Kernel:
     Args:
         substeps: see `next_state`.
         size: number of rows of vehicle and weights.
+        system: the kind of motion.
     """
+    states, controls = system.states, system.commands
 
     def equation(
         slope: Any, curvature: Any, decrease: Any, state: Any, command: Any, after: Any, **data: Any
     ) -> Mapping[str, Sequence[Any]]:
         coefficients, weights = constants(data["constant"])
-        V_xx, stage, both = symmetric(curvature), Stage(*data["stage"]), [*state, *command]
-        error, sway, effort = stage_costs(state, command, after, stage, weights, SYMBOLS)
+        V_xx, stage, both = symmetric(curvature), system.Stage(*data["stage"]), [*state, *command]
+        error, sway, effort = stage_costs(state, command, after, stage, weights, SYMBOLS, system)
         V_x = _sum(slope, gradient([error, sway], [1.0, 1.0], after))
         V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
-        of_error = _error_curvature(after, stage, weights)
-        for axis in (PLACE.x_e, PLACE.y_e):
+        of_error = _error_curvature(after, stage, weights, system)
+        for axis in range(len(system.model.position)):
             V_xx[axis][axis] = V_xx[axis][axis] + of_error
-        columns = list(zip(*stage_jacobian(state, command, stage, coefficients, substeps), strict=True))
+        columns = list(zip(*stage_jacobian(state, command, stage, coefficients, substeps, system), strict=True))
         Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
         Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
         slope, earlier, step, feedback, gained = feedback_law(Q_1, Q_2, command, data["limits"])
         results = {"slope": slope, "curvature": triangle(earlier), "decrease": [decrease[0] + gained], "step": step}
         return {**results, "feedback": [x for row in feedback for x in row]}
 
-    rows = {"slope": STATE_ROWS, "curvature": STATE_ROWS * (STATE_ROWS + 1) // 2, "decrease": 1, "state": STATE_ROWS}
-    rows |= {"command": COMMAND_SIZE, "after": STATE_ROWS, "stage": STAGE_ROWS, "constant": size}
+    rows = {"slope": states, "curvature": states * (states + 1) // 2, "decrease": 1, "state": states}
+    rows |= {"command": controls, "after": states, "stage": len(system.Stage._fields), "constant": size}
     over_time = ("state", "command", "after", "stage", "step", "feedback")
-    return Kernel.traced(equation, rows | {"limits": COMMAND_SIZE}, over_time, back=True, structural=True, blocked=True)
+    return Kernel.traced(equation, rows | {"limits": controls}, over_time, back=True, structural=True, blocked=True)
 
 
 def feedback_law(
@@ -143,19 +142,23 @@ def feedback_law(
 ) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
     """Return V_x, V_xx, step and feedback of the command, and the predicted decrease, from Q_1 and Q_2; on symbols.
 
-    See `riccati_kernel`. In Q_1 and Q_2 the n entries of the state come before the two of the command.
+    See `riccati_kernel`. In Q_1 and Q_2 the n entries of the state come before the c of the command, two or three.
 
     Args:
-        Q_1: first derivatives of the cost to go, n + 2 symbols.
-        Q_2: second derivatives, n + 2 rows.
-        command: two symbols.
+        Q_1: first derivatives of the cost to go, n + c symbols.
+        Q_2: second derivatives, n + c rows.
+        command: c symbols.
         limits: largest absolute values of the command.
     """
-    n = len(Q_1) - COMMAND_SIZE
+    n = len(Q_1) - len(command)
     Q_u, Q_uu, Q_ux = Q_1[n:], [row[n:] for row in Q_2[n:]], [row[:n] for row in Q_2[n:]]
     low, high = [-limit - c for limit, c in zip(limits, command, strict=True)], _sum(limits, [-c for c in command])
-    k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
-    K = _feedback_of(Q_uu, Q_ux, free)
+    if len(command) == 2:
+        k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
+        K = _feedback_of(Q_uu, Q_ux, free)
+    else:
+        k, free = bounded_minimum_of_three(Q_uu, Q_u, low, high, SYMBOLS)
+        K = _feedback_of_three(Q_uu, Q_ux, free)
     gained = -dot(_sum(Q_u, [0.5 * dot(row, k) for row in Q_uu]), k)
     Q_xu, followed = list(zip(*Q_ux, strict=True)), list(zip(*K, strict=True))
     V_x = [q + dot(row, k) for q, row in zip(Q_1[:n], Q_xu, strict=True)]
@@ -164,25 +167,29 @@ def feedback_law(
 
 
 def stage_jacobian(
-    state: Sequence[Any], command: Sequence[Any], stage: Stage, coefficients: Coefficients, substeps: int
+    state: Sequence[Any],
+    command: Sequence[Any],
+    stage: Any,
+    coefficients: Any,
+    substeps: int,
+    system: System = PLANE_SYSTEM,
 ) -> Matrix:
-    """Return the Jacobian of `next_state` with respect to state and command, `STATE_ROWS` rows; on symbols.
+    """Return the Jacobian of `next_state` with respect to state and command; on symbols.
 
     The chain rule over the mean loads, on which the motion depends, needs fewer operations.
     """
-    both, after = [*state, *command], next_state(state, command, stage, coefficients, substeps, SYMBOLS)
-    X, N, *_ = actuated(state, command, stage)
-    acting = [*state[MOTION_STATES], X, N]
-    motion = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))
-    return [*motion, *jacobian(after[MOTION_STATES.stop :], both)]
+    both, after = [*state, *command], next_state(state, command, stage, coefficients, substeps, SYMBOLS, system)
+    moving, (loads, _) = system.model.forces.start, actuated(state, command, stage, system)
+    acting = [*state[:moving], *loads]
+    motion = product(jacobian(after[:moving], acting), jacobian(acting, both))
+    return [*motion, *jacobian(after[moving:], both)]
 
 
-def _error_curvature(after: Sequence[Any], stage: Stage, weights: CostWeights) -> Any:
+def _error_curvature(after: Sequence[Any], stage: Any, weights: CostWeights, system: System) -> Any:
     """Return the curvature of the quadratic majorant that touches the cost of the position error."""
-    x_e, y_e = after[PLACE.x_e] - stage.target_x, after[PLACE.y_e] - stage.target_y
-    return (
-        2 * error_weight(stage, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
-    )
+    errors = position_errors(after, stage, system)
+    square = dot(errors, errors) / (weights.huber * weights.huber)
+    return 2 * error_weight(stage, weights) / SYMBOLS.sqrt(1 + square)
 
 
 def _hessian(cost: Any, by: Sequence[Any]) -> Sequence[Sequence[Any]]:
@@ -241,8 +248,43 @@ def _on_the_edge(
     return best_u, best_r
 
 
+def bounded_minimum_of_three(
+    H: Matrix, g: Sequence[Number], low: Sequence[Number], high: Sequence[Number], ns: Namespace
+) -> tuple[tuple[Number, ...], tuple[Any, ...]]:
+    """Return what `bounded_minimum` returns, for a positive definite matrix H of three rows.
+
+    If the unbounded minimiser is outside of the box, the minimiser is the best of those on its six faces.
+    """
+    c = [-x for (x,) in solution(H, [[x] for x in g])]
+    inside = [(x >= a) & (x <= b) for x, a, b in zip(c, low, high, strict=True)]
+    best, least = [*low], math.inf
+    for i, j, k in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
+        for bound in (low[i], high[i]):
+            slopes = [g[row] + H[row][i] * bound for row in (j, k)]
+            bounds = ((low[j], low[k]), (high[j], high[k]))
+            (c_j, c_k), _ = bounded_minimum((H[j][j], H[j][k], H[k][k]), slopes, *bounds, ns)
+            face = [x for _, x in sorted(((i, bound), (j, c_j), (k, c_k)), key=lambda entry: entry[0])]
+            value = dot(face, [x + 0.5 * dot(row, face) for x, row in zip(g, H, strict=True)])
+            best = [ns.where(value < least, x, y) for x, y in zip(face, best, strict=True)]
+            least = ns.where(value < least, value, least)
+    within = inside[0] & inside[1] & inside[2]
+    c = [ns.where(within, x, y) for x, y in zip(c, best, strict=True)]
+    return tuple(c), tuple((x > a) & (x < b) for x, a, b in zip(c, low, high, strict=True))
+
+
+def _feedback_of_three(Q_uu: Matrix, Q_ux: Matrix, free: Sequence[Any]) -> list[list[Any]]:
+    """Return the feedback matrix of the free commands; on symbols. A command at a limit has zero feedback."""
+    where = SYMBOLS.where
+    A = [
+        [where(one & other, x, float(i == j)) for j, (x, other) in enumerate(zip(row, free, strict=True))]
+        for i, (row, one) in enumerate(zip(Q_uu, free, strict=True))
+    ]
+    B = [[where(one, -x, 0.0) for x in row] for row, one in zip(Q_ux, free, strict=True)]
+    return solution(A, B)
+
+
 def _feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
-    """Return the feedback matrix of the free commands, `COMMAND_SIZE` rows of `STATE_ROWS`; on symbols."""
+    """Return the feedback matrix of the free commands in the plane; on symbols."""
     where, (free_u, free_r) = SYMBOLS.where, free
     first, second = [where(free_u, q, 0.0) for q in Q_ux[0]], [where(free_r, q, 0.0) for q in Q_ux[1]]
     a, d = where(free_u, Q_uu[0][0], 1.0), where(free_r, Q_uu[1][1], 1.0)  # a command at a limit has zero feedback

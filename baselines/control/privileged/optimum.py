@@ -13,25 +13,29 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.oracle import oracle_run, stable_gains, true_plan
-from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem
-from baselines.control.privileged.solver import DAMPING, WINDOWS, best_trajectory, receding_horizon
+from baselines.control.privileged.problem import Problem
+from baselines.control.privileged.solver import DAMPING, WINDOWS, about_reference, best_trajectory, receding_horizon
 from baselines.control.privileged.truth import FullInformationPolicy, Truth
 
 
 class FullInformationOptimum(FullInformationPolicy):
     """Optimal commands for known episodes, a `baselines.policy.Privileged`.
 
-    They are optimised over the whole episode, see `problem` and `solver`, starting from the commands of the oracle. If
-    the result is poor, the optimisation is repeated from the commands of predictive control with full information, see
-    `solver.receding_horizon`. The feedback of the last Gauss-Newton step corrects deviations due to rounding.
+    They are optimised over the whole episode, see `problem` and `solver`, starting from the commands of the oracle, in
+    space from those of `solver.about_reference`. If the result is poor, the optimisation is repeated from the commands
+    of predictive control with full information, see `solver.receding_horizon`. The feedback of the last Gauss-Newton
+    step corrects deviations due to rounding.
     """
 
     def _prepared(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
         problem, n = Problem.of(scenario, episodes), len(episodes)
-        guess = arriving(oracle_actions(scenario, episodes), problem.delay)
+        if scenario.vertical is None:
+            guess = arriving(oracle_actions(scenario, episodes), problem.delay)
+        else:  # there is no oracle in space
+            guess = about_reference(problem)
         self._trajectory = best_trajectory(problem, guess, [partial(receding_horizon, window) for window in WINDOWS])
         feedback = problem.gauss_newton_step(self._trajectory, np.full(n, DAMPING)).feedback
-        self._gains = feedback.reshape(len(feedback), COMMAND_ROWS, PLANT_STATES, n)
+        self._gains = feedback.reshape(len(feedback), problem.limits.shape[1], len(problem.begun), n)
         self._limits, self._delay = problem.limits, problem.delay
         return Truth.of(scenario, episodes)
 

@@ -26,20 +26,20 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import congruence, dot, symmetric, triangle
 from auv_gym.effects.actuators import Reach
-from auv_gym.physics.namespaces import Array
+from auv_gym.effects.space import MAX_PITCH
+from auv_gym.physics.namespaces import Array, sum_of_squares
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import SAMPLE, Parameters, Parts, constants_of, moved, parameter_row
+from auv_gym.task.simulation import Parameters, Parts, constants_of, moved, parameter_row
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
-PLANT_STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
-FORCES = 6  # index of F_u
-COMMAND_ROWS = 2  # a_u, a_r: commands as fractions of the command of action 1
-TRIANGLE = PLANT_STATES * (PLANT_STATES + 1) // 2  # entries of a symmetric matrix of that size
 TRANSIENT_WEIGHT = 1e-3
 """Sum of the weights of the errors in the first third."""
+STEEP, STEEP_WEIGHT = 0.9 * MAX_PITCH, 10.0
+"""Pitch [rad] in space beyond which its excess costs this weight [m^2/rad^2] times the square: an episode ends at
+`MAX_PITCH`."""
 INSIDE = 1.0 - 1e-9
 """Largest change of a force as a share of its rate limit: so the change depends on the command."""
 EFFORT_WEIGHT = 1e-9
@@ -53,10 +53,10 @@ class Problem:
     """Data of N episodes of K control periods."""
 
     parts: Parts  # of the simulation
-    begun: Array  # initial state, shape (PLANT_STATES, N)
+    begun: Array  # initial state and forces, shape (states, N)
     samples: Array  # entries of the `Sample` at the end of each period, shape (K, `Parts.sample_rows`, N)
     parameters: Array  # entries of the `Parameters`, shape (`Parts.parameter_rows`, N)
-    limits: Array  # of the commands; zero until the first command acts, shape (K, COMMAND_ROWS, N)
+    limits: Array  # of the commands; zero until the first command acts, shape (K, channels, N)
     weight: Array  # w_k in (1) [1/m^2 of this vehicle], shape (K, 1, N)
     delay: NDArray[np.int64]  # control periods until a command acts, shape (N,)
     unit: Array  # length of this vehicle [m] that corresponds to 1 m of the paper's vehicle, shape (N,)
@@ -70,7 +70,8 @@ class Problem:
         """
         truth, n, steps = Truth.of(scenario, episodes), len(episodes), scenario.steps
         p, samples = truth.parameters, truth.samples
-        begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
+        first, channels = samples[0, p.parts.model.reference].T.tolist(), len(p.parts.model.channels)
+        begun = [e.initial_state(R) for e, R in zip(episodes, first, strict=True)]
         rows = np.array([np.broadcast_to(np.asarray(row, dtype=np.float64), n) for row in parameter_row(p)])
         delay = np.broadcast_to(np.asarray(truth.delay), n).astype(np.int64)
         reach = np.minimum(1.0, np.stack([np.broadcast_to(own.level, n) for own in constants_of(p, Reach)]))
@@ -80,7 +81,7 @@ class Problem:
         unit = Units.of(scenario.vehicle).length
         return cls(
             p.parts,
-            np.concatenate((np.array(begun).T, np.zeros((2, n)))),
+            np.concatenate((np.array(begun).T, np.zeros((channels, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,
             np.ascontiguousarray(reach * acts[:, None]),
@@ -95,7 +96,7 @@ class Problem:
         return Problem(self.parts, **arrays)
 
     def between(self, first: int, end: int, begun: Array) -> Problem:
-        """Return the problem of the periods from `first` to `end` with the initial states `begun`, (PLANT_STATES, N).
+        """Return the problem of the periods from `first` to `end` with the initial states `begun`, (states, N).
 
         The errors in all its periods have the same weight.
         """
@@ -118,8 +119,9 @@ class Problem:
             change: Gauss-Newton step from it. None: the commands are unchanged.
             length: fraction of the step.
         """
-        steps, _, n = trajectory.commands.shape
-        states, cost, error = np.empty((steps + 1, PLANT_STATES, n)), np.zeros((1, n)), np.empty((steps, 1, n))
+        steps, channels, n = trajectory.commands.shape
+        size = len(self.begun)
+        states, cost, error = np.empty((steps + 1, size, n)), np.zeros((1, n)), np.empty((steps, 1, n))
         states[0], applied = self.begun, np.empty_like(trajectory.commands)
         commands = trajectory.commands if change is None else trajectory.commands + length * change.step
         with np.errstate(over="ignore", invalid="ignore"):  # the cost of a diverged episode is infinite
@@ -128,7 +130,7 @@ class Problem:
                 cost=cost,
                 command=commands,
                 planned=trajectory.states[:-1],
-                gains=np.zeros((steps, COMMAND_ROWS * PLANT_STATES, n)) if change is None else change.feedback,
+                gains=np.zeros((steps, channels * size, n)) if change is None else change.feedback,
                 limits=self.limits,
                 sample=self.samples,
                 weight=self.weight,
@@ -142,12 +144,13 @@ class Problem:
 
     def gauss_newton_step(self, trajectory: Trajectory, damping: Array) -> GaussNewtonStep:
         """Return the Gauss-Newton step at a trajectory with a damping of shape (N,)."""
-        steps, _, n = trajectory.commands.shape
-        step, feedback = np.empty_like(trajectory.commands), np.empty((steps, COMMAND_ROWS * PLANT_STATES, n))
+        steps, channels, n = trajectory.commands.shape
+        size = len(self.begun)
+        step, feedback = np.empty_like(trajectory.commands), np.empty((steps, channels * size, n))
         with np.errstate(all="ignore"):
             riccati_kernel(self.parts).bound(
-                slope=np.zeros((PLANT_STATES, n)),
-                curvature=np.zeros((TRIANGLE, n)),
+                slope=np.zeros((size, n)),
+                curvature=np.zeros((size * (size + 1) // 2, n)),
                 state=trajectory.states[:-1],
                 command=trajectory.commands,
                 limits=self.limits,
@@ -161,16 +164,17 @@ class Problem:
         return GaussNewtonStep(step, feedback)
 
     def open_loop(self, commands: Array) -> Trajectory:
-        """Return the simulated trajectory of commands, shape (K, COMMAND_ROWS, N), without feedback."""
+        """Return the simulated trajectory of commands, shape (K, channels, N), without feedback."""
         steps, _, n = commands.shape
-        return self.simulated(Trajectory(commands, np.zeros((steps + 1, PLANT_STATES, n)), np.zeros(n), np.zeros(n)))
+        states = np.zeros((steps + 1, len(self.begun), n))
+        return self.simulated(Trajectory(commands, states, np.zeros(n), np.zeros(n)))
 
 
 class Trajectory(NamedTuple):
     """Commands in N episodes with the simulated states and costs."""
 
-    commands: Array  # that act in each period, shape (K, COMMAND_ROWS, N)
-    states: Array  # shape (K + 1, PLANT_STATES, N)
+    commands: Array  # that act in each period, shape (K, channels, N)
+    states: Array  # shape (K + 1, states, N)
     cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite if the states are not finite
     steady_rmse: Array  # [m of the paper's vehicle] steady-state error, shape (N,)
 
@@ -178,15 +182,14 @@ class Trajectory(NamedTuple):
 class GaussNewtonStep(NamedTuple):
     """Change of the commands of a trajectory: `step` + `feedback` (state - state of the trajectory)."""
 
-    step: Array  # shape (K, COMMAND_ROWS, N)
-    feedback: Array  # shape (K, COMMAND_ROWS * PLANT_STATES, N): the rows of K matrices one after the other
+    step: Array  # shape (K, channels, N)
+    feedback: Array  # shape (K, channels * states, N): the rows of K matrices one after the other
 
 
 def _next_state(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:
-    """Return the `PLANT_STATES` components of the state one control period later."""
-    x, y, psi, u, v, r, F_u, F_r = state
-    p, a = parts.parameters(parameters), (command[0], command[1])
-    body, force = moved((x, y, psi, u, v, r), (F_u, F_r), a, sample, p, SYMBOLS)
+    """Return the components of state and forces one control period later."""
+    p, first = parts.parameters(parameters), parts.model.forces.start
+    body, force = moved(tuple(state[:first]), tuple(state[first:]), tuple(command), sample, p, SYMBOLS)
     return [*body, *force]
 
 
@@ -215,41 +218,54 @@ def _ranges(state: Sequence[Any], limits: Sequence[Any], p: Parameters) -> list[
 
     Commands beyond it have the same effect as its ends, so a gradient method could not leave them.
     """
-    thrusts, slews = (p.thrust_u, p.thrust_r), (p.response.slew_u, p.response.slew_r)
-    actuators = zip(state[FORCES:], thrusts, slews, limits, strict=True)
+    model, (_, _, *slews) = p.parts.model, p.response
+    actuators = zip(state[model.forces.start :], model.thrusts(p), slews, limits, strict=True)
     return [_Range.of(force, thrust, slew, p.response.gain, limit) for force, thrust, slew, limit in actuators]
 
 
-def _position_error(after: Sequence[Any], sample: Any) -> tuple[Any, Any]:
+def _position_error(after: Sequence[Any], sample: Any, parts: Parts) -> list[Any]:
     """Return the position error [m] at the end of a period."""
-    return after[0] - sample[SAMPLE.x_R], after[1] - sample[SAMPLE.y_R]
+    return [after[i] - sample[i] for i in range(len(parts.model.position))]
+
+
+def _steepness(after: Sequence[Any], parts: Parts) -> dict[int, Any]:
+    """Return the pitch beyond `STEEP` [rad] by its index; nothing in the plane."""
+    steep = [i for i, name in enumerate(parts.model.state) if name == "theta"]
+    return {i: after[i] - SYMBOLS.clip(after[i], -STEEP, STEEP) for i in steep}
+
+
+def _sizes(parts: Parts) -> tuple[int, int]:
+    """Return the number of states and forces, and that of the channels."""
+    return parts.model.forces.stop, len(parts.model.channels)
 
 
 @cache
 def simulation_kernel(parts: Parts) -> Kernel:
     """Return the kernel that simulates an episode with feedback about a trajectory."""
+    size, channels = _sizes(parts)
 
     def equation(
         state: Any, cost: Any, command: Any, planned: Any, gains: Any, limits: Any, weight: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
         deviation, a = [x - c for x, c in zip(state, planned, strict=True)], []
         for i, own in enumerate(_ranges(state, limits, parts.parameters(known["parameters"]))):
-            unlimited = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], deviation)
+            unlimited = command[i] + dot(gains[i * size : (i + 1) * size], deviation)
             a.append(SYMBOLS.clip(unlimited, own.low, own.high))
         after = _next_state(state, a, known["sample"], known["parameters"], parts)
-        x_e, y_e = _position_error(after, known["sample"])
-        error = x_e * x_e + y_e * y_e
-        stage_cost = weight[0] * error + EFFORT_WEIGHT * (a[0] * a[0] + a[1] * a[1])
+        error = sum_of_squares(_position_error(after, known["sample"], parts))
+        stage_cost = weight[0] * error + EFFORT_WEIGHT * sum_of_squares(a)
+        for excess in _steepness(after, parts).values():
+            stage_cost = stage_cost + STEEP_WEIGHT * excess * excess
         return {"state": after, "cost": [cost[0] + stage_cost], "states": after, "applied": a, "error": [error]}
 
     rows = {
-        "state": PLANT_STATES,
+        "state": size,
         "cost": 1,
-        "command": COMMAND_ROWS,
-        "planned": PLANT_STATES,
-        "gains": COMMAND_ROWS * PLANT_STATES,
+        "command": channels,
+        "planned": size,
+        "gains": channels * size,
     }
-    rows |= {"limits": COMMAND_ROWS, "sample": parts.sample_rows, "weight": 1, "parameters": parts.parameter_rows}
+    rows |= {"limits": channels, "sample": parts.sample_rows, "weight": 1, "parameters": parts.parameter_rows}
     over_time = ("command", "planned", "gains", "limits", "sample", "weight", "states", "applied", "error")
     return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
@@ -257,6 +273,8 @@ def simulation_kernel(parts: Parts) -> Kernel:
 @cache
 def riccati_kernel(parts: Parts) -> Kernel:
     """Return the kernel of the Gauss-Newton step, which runs from the last period to the first."""
+    size, channels = _sizes(parts)
+    forces = parts.model.forces.start
 
     def equation(
         slope: Any, curvature: Any, state: Any, command: Any, limits: Any, weight: Any, damping: Any, **known: Any
@@ -267,28 +285,31 @@ def riccati_kernel(parts: Parts) -> Kernel:
         ranges = _ranges(state, limits, parts.parameters(known["parameters"]))
         slopes = [own.slope(a, limit) for own, a, limit in zip(ranges, command, limits, strict=True)]
         for i, follows in enumerate(slopes):  # the free commands are the differences to bounds that move
-            by_force, by_command = columns[FORCES + i], columns[PLANT_STATES + i]
-            columns[FORCES + i] = tuple(x + follows * y for x, y in zip(by_force, by_command, strict=True))
+            by_force, by_command = columns[forces + i], columns[size + i]
+            columns[forces + i] = tuple(x + follows * y for x, y in zip(by_force, by_command, strict=True))
         V_x, V_xx = list(slope), [list(row) for row in symmetric(curvature)]
-        for i, error in enumerate(_position_error(after, known["sample"])):
+        for i, error in enumerate(_position_error(after, known["sample"], parts)):
             V_x[i], V_xx[i][i] = V_x[i] + w * error, V_xx[i][i] + w
+        for i, excess in _steepness(after, parts).items():
+            curved = SYMBOLS.where(abs(after[i]) > STEEP, 2 * STEEP_WEIGHT, 0.0)
+            V_x[i], V_xx[i][i] = V_x[i] + 2 * STEEP_WEIGHT * excess, V_xx[i][i] + curved
         Q_1, Q_2 = [dot(column, V_x) for column in columns], [list(row) for row in congruence(columns, V_xx)]
-        for i, a in enumerate(command, PLANT_STATES):
+        for i, a in enumerate(command, size):
             Q_1[i], Q_2[i][i] = Q_1[i] + 2 * EFFORT_WEIGHT * a, Q_2[i][i] + 2 * EFFORT_WEIGHT + damping[0]
         from_middle = [a - 0.5 * (own.low + own.high) for own, a in zip(ranges, command, strict=True)]
         half = [0.5 * (own.high - own.low) for own in ranges]
         slope, earlier, k, law, _ = feedback_law(Q_1, Q_2, from_middle, half)
         K = [list(row) for row in law]
         for i, follows in enumerate(slopes):
-            K[i][FORCES + i] += follows
+            K[i][forces + i] += follows
         return {"slope": slope, "curvature": triangle(earlier), "step": k, "feedback": [x for row in K for x in row]}
 
     rows = {
-        "slope": PLANT_STATES,
-        "curvature": TRIANGLE,
-        "state": PLANT_STATES,
-        "command": COMMAND_ROWS,
-        "limits": COMMAND_ROWS,
+        "slope": size,
+        "curvature": size * (size + 1) // 2,
+        "state": size,
+        "command": channels,
+        "limits": channels,
     }
     rows |= {"sample": parts.sample_rows, "weight": 1, "parameters": parts.parameter_rows, "damping": 1}
     over_time = ("state", "command", "limits", "sample", "weight", "step", "feedback")

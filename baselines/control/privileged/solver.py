@@ -45,7 +45,7 @@ def best_trajectory(problem: Problem, guess: Array, others: Sequence[Callable[[P
 
     Args:
         problem: see `Problem`.
-        guess: initial commands, shape (K, COMMAND_ROWS, N).
+        guess: initial commands, shape (K, channels, N).
         others: functions that return other initial commands for a problem; they are tried in turn in episodes whose
             steady-state error is not below `GOOD`.
     """
@@ -67,7 +67,8 @@ def optimised(problem: Problem, trajectory: Trajectory, most: int = _MOST_STEPS)
     for _ in range(most):
         part, now = problem.subset(active), subset(trajectory, active)
         after, full = _line_search(part, now, part.gauss_newton_step(now, damping[active]))
-        gain = np.sqrt(now.cost) - np.sqrt(after.cost)
+        with np.errstate(invalid="ignore"):  # both costs of a diverged episode are infinite
+            gain = np.sqrt(now.cost) - np.sqrt(after.cost)
         failed = ~(after.cost < now.cost)
         dampings = damping[active]
         done = ~(gain > TOLERANCE) & ((full & (dampings <= HARDLY_DAMPED)) | (failed & (dampings >= MOST_DAMPING)))
@@ -98,6 +99,20 @@ def _line_search(
     return best, full
 
 
+def about_reference(problem: Problem) -> Array:
+    """Return the commands of linear-quadratic control about the reference, shape (K, channels, N).
+
+    Its feedback is that of a Gauss-Newton step with the reference in place of a simulated trajectory.
+    """
+    model, p = problem.parts.model, problem.parts.parameters(tuple(problem.parameters))
+    planned = problem.samples[:, model.reference]
+    commands = planned[:, model.forces] / np.stack(np.broadcast_arrays(*model.thrusts(p), problem.unit)[:-1])
+    infinite = np.full(len(problem.unit), np.inf)
+    reference = Trajectory(commands, np.concatenate((planned[:1], planned)), infinite, infinite)
+    change = problem.gauss_newton_step(reference, np.full(len(problem.unit), DAMPING))
+    return problem.simulated(reference, change).commands
+
+
 class Window(NamedTuple):
     """Lengths of receding horizon control."""
 
@@ -110,7 +125,7 @@ WINDOWS = Window(80, 40), Window(160, 40), Window(80, 10)
 
 
 def receding_horizon(window: Window, problem: Problem) -> Array:
-    """Return the commands of receding horizon control with full information, shape (K, COMMAND_ROWS, N)."""
+    """Return the commands of receding horizon control with full information, shape (K, channels, N)."""
     commands, begun, steps = np.zeros_like(problem.limits), problem.begun, len(problem.limits)
     for first in range(0, steps, window.kept):
         end = min(first + window.length, steps)

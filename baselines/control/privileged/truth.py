@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 
 from auv_gym.effects import PACKAGE
 from auv_gym.effects.actuators import LONGEST_DELAY, Delay
+from auv_gym.effects.space import SPACE_PACKAGE
 from auv_gym.physics.dynamics import State
-from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.simulation import Parameters, Plant, constants_of, parameter_row, step
+from auv_gym.task.simulation import Parameters, constants_of, parameter_row, step
 from baselines.policy import Memory
-
-BODY = 8  # number of the first entries of a `Plant`, state and actuators' forces
 
 
 def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
@@ -52,7 +50,7 @@ class Truth:
             InfeasibleReferenceError: an episode's path cannot be followed.
             ValueError: the scenario has an effect that is not one of the package.
         """
-        if own := [effect.name for effect in scenario.parts.effects if effect not in PACKAGE]:
+        if own := [effect.name for effect in scenario.parts.effects if effect not in (*PACKAGE, *SPACE_PACKAGE)]:
             raise ValueError(f"full information does not include the effect {own[0]!r}: leave this policy out")
         rows = np.array([parameter_row(scenario.parameters(episode)) for episode in episodes]).T
         return cls(scenario.parts.parameters(tuple(rows)), samples(scenario, episodes))
@@ -66,28 +64,30 @@ class Truth:
         """Return state and forces when the next command begins to act, shape (8, N); without delay, those of now.
 
         Args:
-            state: x, y, psi, u, v, r relative to the water, rows (N,).
-            force: F_u, F_r of the actuators, shape (2, N).
-            sent: the last `LONGEST_DELAY` actions, the latest first, shape (LONGEST_DELAY, 2, N).
+            state: x, y, psi, u, v, r relative to the water, rows (N,); in space those of its model.
+            force: F_u, F_r of the actuators, shape (channels, N).
+            sent: the last `LONGEST_DELAY` actions, the latest first, shape (LONGEST_DELAY, channels, N).
             k: the control step of each episode, shape (N,).
         """
         zero, (last, second, third), places = np.zeros(len(k)), sent, self.parameters.parts.places
         memory = [zero] * places.sizes[1]  # states of sensors do not matter
         if (place := places.memory.get(Delay)) is not None:
             memory[place] = [sent for channel in zip(second, third, strict=True) for sent in channel]
-        plant = Plant._make((*state, *force, *last, tuple(memory)))
-        after = np.stack(plant[:BODY])
+        model = self.parameters.parts.model
+        body, idle = model.forces.stop, (zero,) * len(model.channels)
+        plant = model.Plant._make((*state, *force, *last, tuple(memory)))
+        after = np.stack(plant[:body])
         delay = np.broadcast_to(self.delay, len(k))
         for j in range(int(delay.max())):
             sample = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T
-            plant, _, _ = step(plant, (zero, zero), tuple(sample), self.parameters, ARRAYS)
-            after = np.where(delay > j, np.stack(plant[:BODY]), after)
+            plant, _, _ = step(plant, idle, tuple(sample), self.parameters, ARRAYS)
+            after = np.where(delay > j, np.stack(plant[:body]), after)
         return after
 
 
-def no_actions(n: int) -> Array:
+def no_actions(n: int, channels: int = 2) -> Array:
     """Return the argument `sent` of `Truth.state_after_delay` at the start of n episodes."""
-    return np.zeros((LONGEST_DELAY, 2, n))
+    return np.zeros((LONGEST_DELAY, channels, n))
 
 
 class FullInformationPolicy(ABC):
@@ -110,7 +110,8 @@ class FullInformationPolicy(ABC):
             InfeasibleReferenceError: an episode's path cannot be followed in still water.
         """
         self._truth = self._prepared(scenario, episodes)
-        self._dt, self._sent = scenario.control_dt, no_actions(len(episodes))
+        channels = len(scenario.parts.model.channels)
+        self._dt, self._sent = scenario.control_dt, no_actions(len(episodes), channels)
 
     def observe(self, env: Any) -> None:
         """Compute the actions from the true state of the vector environment.
@@ -119,11 +120,11 @@ class FullInformationPolicy(ABC):
             RuntimeError: `prepare` was not called, so there is no plan.
         """
         self._check()
+        assert self._truth is not None
         k = np.rint(env.time / self._dt).astype(int)
-        x, y, psi, u, v, r = env.state.T
-        V_x, V_y = env.current.T
-        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
-        action = self._actions((x, y, psi, u - V_u, v - V_v, r), env.force.T, self._sent, k)
+        ground = self._truth.parameters.parts.model.over_ground
+        state = ground(tuple(env.state.T), tuple(-env.current.T), ARRAYS)  # relative to the water
+        action = self._actions(state, env.force.T, self._sent, k)
         self._sent = np.concatenate((action[None], self._sent[:-1]))
         self._action = action.T.astype(np.float32)
 

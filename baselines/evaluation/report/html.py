@@ -18,13 +18,21 @@ from typing import Any
 
 import jinja2
 
-from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.agents.names import COMMAND
 from baselines.evaluation.report.columns import NONE, Column, definitions, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, FULL_INFORMATION, VEHICLE_MARK, Score, fixed, fixed_ends, speed_range_of
+from baselines.evaluation.score import (
+    ERROR_CAPS,
+    EXPERT,
+    FULL_INFORMATION,
+    VEHICLE_MARK,
+    Score,
+    fixed,
+    fixed_ends,
+    speed_range_of,
+)
 from baselines.tools.figure_style import look
 from baselines.tools.files import finite, versions
 
@@ -177,7 +185,7 @@ def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, 
         (r.run.policy, r.run.scenario.name): r.entry.summary.steady_rmse_m.mean for r in results if r.entry.summary
     }
     maps = []
-    for speed_range in SPEED_RANGES:
+    for speed_range in ERROR_CAPS:
         cases = [name for name in dict.fromkeys(name for _, name in errors) if speed_range_of(name) == speed_range]
         if len(cases) < 2:
             continue

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
+    ERROR_CAPS,
     EXPERT,
     FULL_INFORMATION,
     OPTIMUM_POLICY,
@@ -164,7 +164,7 @@ def _to_best(entry: Entry, best: Entry | None, cases: Mapping[str, _Case], unit:
 def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
     """Return the scenarios of each speed range, and of each vehicle in it if there are several, by place."""
     by_place: dict[str, list[str]] = {}
-    for speed_range in SPEED_RANGES:
+    for speed_range in ERROR_CAPS:
         names = [name for name in scenarios if speed_range_of(name) == speed_range]
         vehicles = list(dict.fromkeys(map(vehicle_of, names)))
         if names:

@@ -141,7 +141,7 @@ def _episode(results: Sequence[Result], scenario: Scenario, i: int) -> dict[str,
     instants = _kept(len(longest.position), FRAMES)
     return {
         "dt": scenario.control_dt * float(instants[1] - instants[0]) if len(instants) > 1 else scenario.control_dt,
-        "reference": _pose(longest.reference, longest.heading[:, 1], instants),
+        "reference": _pose(longest.reference, longest.heading[:, 1], longest.height[:, 1:], instants),
         "vehicles": [{"policy": policy, **_vehicle(track, instants)} for policy, track in tracks.items()],
     }
 
@@ -149,15 +149,15 @@ def _episode(results: Sequence[Result], scenario: Scenario, i: int) -> dict[str,
 def _vehicle(track: Track, instants: Array) -> dict[str, Any]:
     shown = instants[instants < len(track.position)]
     current = [_shortened(row, 2) for row in track.current[shown].T]
-    pose = _pose(track.position, track.heading[:, 0], shown)
+    pose = _pose(track.position, track.heading[:, 0], track.height[:, :1], shown)
     still = not np.any(track.current)
     return {**pose, "error": _shortened(np.maximum(track.error[shown], _LEAST)), "current": None if still else current}
 
 
-def _pose(position: Array, heading: Array, instants: Array) -> dict[str, Any]:
-    """Return positions in centimetres and headings in hundredths of a radian, as integers."""
-    x, y = np.round(100 * position[instants].T).astype(int).tolist()
-    return {"x": x, "y": y, "psi": np.round(100 * heading[instants]).astype(int).tolist()}
+def _pose(position: Array, heading: Array, height: Array, instants: Array) -> dict[str, Any]:
+    """Return positions and, in space, depths in centimetres and headings in hundredths of a radian, as integers."""
+    rows = np.column_stack((position, heading, -height))[instants].T
+    return dict(zip(("x", "y", "psi", "depth"), np.round(100 * rows).astype(int).tolist(), strict=False))
 
 
 def _kept(count: int, most: int) -> Any:

@@ -13,16 +13,22 @@ from auv_gym.effects.mismatch import CrossFlow
 from auv_gym.physics.namespaces import Namespace, Number, sum_of_squares
 from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Coefficients, with_names
 from auv_gym.task import simulation
+from auv_gym.task.observation import PLANE_LAYOUT
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
 from auv_gym.task.preview import preview_columns
 from auv_gym.task.simulation import Parts
 from baselines.agents.features import STANDARD, Inputs
+from baselines.agents.space_features import SpaceInputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.policy import U_R, V_R, BySpeed, is_fast
+from baselines.space.backstepping import SpaceBackstepping
 
 LINEAR_FROM = 2.0  # error in units of its scale from which the loss is logarithmic
 SQUARE_WEIGHT = 0.3  # weight of the squared error, in units of its scale, below that
+STEEP = 0.8
+"""Pitch [rad] from which it costs."""
+STEEP_WEIGHT = 20.0  # [1/rad^2] of the squared pitch beyond it
 _TINY = 1e-6  # added to the squared error in units of the squared scale, since its root has no derivative at zero
 
 _Rows = Sequence[Number]
@@ -76,7 +82,7 @@ class ClosedLoop:
     """
 
     law: Forces
-    inputs: Inputs = STANDARD  # of the network
+    inputs: Inputs | SpaceInputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation
     informed: Backstepping | None = None  # the expert, if the nominal models of the vehicles differ
 
@@ -111,7 +117,7 @@ class ClosedLoop:
         """
         model = self.parts.model
         o = model.Observation._make(model.layout.decode(observation, ns))
-        preview = preview_columns(ahead, o, ns, self.parts.bound_factor)
+        preview = preview_columns(ahead, o, ns, self.parts.bound_factor, model)
         return self.inputs.update(o, preview, base, correction, integrals, ns, with_names(known))
 
     def move(
@@ -144,8 +150,16 @@ class ClosedLoop:
         model, dt = self.parts.model, self.parts.substeps * p.h
         previous = before[model.forces.stop : -1]
         step_loss = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
+        if "theta" in model.state:
+            step_loss = step_loss + steep(plant.theta, ns)
         rows = tuple(model.layout.encode(terms, ns, self.parts.bound_factor))
         return Moved(simulation.plant_row(plant), rows, squared_error, step_loss)
+
+
+def steep(theta: Number, ns: Namespace) -> Number:
+    """Return the loss of a pitch [rad] beyond `STEEP`: an episode ends at `effects.space.MAX_PITCH`."""
+    beyond = ns.clip(abs(theta) - STEEP, 0.0, math.inf)
+    return STEEP_WEIGHT * beyond * beyond
 
 
 def known_rows(parts: Parts) -> int:
@@ -175,7 +189,8 @@ def law_of(expert: Policy) -> tuple[Forces, bool]:
         and isinstance(controller.cruise, EkfLaw)
     ):
         return partial(_by_speed, controller.slow, controller.cruise), False
-    return Backstepping().forces, False
+    in_space = getattr(expert, "layout", PLANE_LAYOUT) != PLANE_LAYOUT
+    return (SpaceBackstepping() if in_space else Backstepping()).forces, False
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Any, ns: Namespace) -> tuple[Any, Any]:

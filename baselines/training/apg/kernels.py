@@ -164,8 +164,9 @@ class LoopKernels:
         """Inputs of the features with their numbers of rows; `known` if the network has the nominal models."""
         inputs = self.loop.inputs
         known = {"known": known_rows(self.loop.parts)} if inputs.nominal_vehicle else {}
-        rows = {"observation": self.loop.parts.model.layout.size, "correction": self._channels}
-        return rows | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
+        layout = self.loop.parts.model.layout
+        rows = {"observation": layout.size, "correction": self._channels}
+        return rows | {"integrals": inputs.memory, "ahead": layout.axes * len(inputs.preview)} | known
 
     def _observed(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.records import from_record
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
+from baselines.agents.space_features import SpaceInputs
 from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.score import EXPERT, speed_range_of
@@ -71,6 +72,7 @@ class Settings:
     nominal_vehicle: bool = False  # include the nominal vehicle
     drawn_share: float = 0.0  # share of the sub-environments with drawn vehicle models, see `vehicle_models`
     validations: int = VALIDATIONS  # number of validations of a run, each with a checkpoint
+    space: bool = field(default=False, compare=False)  # whether the scenarios are in space; not in records
 
     def __post_init__(self) -> None:
         for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("groups", 2**15), ("validations", 1000)):
@@ -89,15 +91,19 @@ class Settings:
         _ = self.network
 
     @property
-    def inputs(self) -> Inputs:
+    def inputs(self) -> Inputs | SpaceInputs:
         """The inputs of the network."""
+        if self.space:
+            return SpaceInputs(self.preview, self.fine)
         return Inputs(self.preview, self.integrals, self.fine, self.filters, self.nominal_vehicle)
 
     @property
     def network(self) -> Gru | Mlp:
         """The sizes of the network."""
-        inputs, size = len(self.inputs.features), self.hidden_size
-        return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
+        inputs, size, outputs = len(self.inputs.features), self.hidden_size, len(self.inputs.model.channels)
+        if self.memory:
+            return Gru(inputs, size, size, size, outputs=outputs)
+        return Mlp(inputs, (size, size), bound="tanh", outputs=outputs)
 
     def draws_vehicles(self, vehicle: Vehicle | None) -> bool:
         """Return whether vehicle models are drawn; they are drawn only in a training for the paper's vehicle."""
@@ -149,6 +155,9 @@ def check(config: Config) -> Settings:
         ValueError: a hyper-parameter is unknown or wrong.
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
+    settings = replace(settings, space=config.scenarios[0][0].vertical is not None)
+    if settings.space and (settings.filters or settings.nominal_vehicle):
+        raise ValueError("there are no filters and no nominal vehicles in space: leave out filters, nominal_vehicle")
     config.env_scenarios(settings.n_envs)
     if settings.drawn_share and not settings.nominal_vehicle:
         raise ValueError(
@@ -161,8 +170,9 @@ def check(config: Config) -> Settings:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
     if config.origin:
         agent = loaded(config.origin)
-        known = settings.nominal_vehicle and agent.inputs.nominal_vehicle  # these inputs can be added
-        inputs = replace(settings.inputs, nominal_vehicle=known)
+        inputs = settings.inputs
+        if isinstance(inputs, Inputs):  # the nominal vehicle can be added
+            inputs = replace(inputs, nominal_vehicle=settings.nominal_vehicle and agent.inputs.nominal_vehicle)
         sizes = replace(settings.network, inputs=agent.network.inputs)
         if inputs != agent.inputs or sizes != agent.network:
             raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than the settings")

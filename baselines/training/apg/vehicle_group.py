@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.effects.space import MAX_PITCH
 from auv_gym.envs.sub_environments import ReadyEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
@@ -91,7 +92,10 @@ class VehicleGroup:
         self._config, self._settings, self._members = config, settings, members
         self.expert = config.make_expert()
         self._first = [scenarios[0] for scenarios in members.variants]
-        preview, self._network_columns, self._expert_columns = shared_preview(settings.preview, preview_of(self.expert))
+        self._axes = settings.inputs.model.layout.axes
+        preview, self._network_columns, self._expert_columns = shared_preview(
+            settings.preview, preview_of(self.expert), self._axes
+        )
         if state is None:
             self._begin(preview)
         else:
@@ -169,8 +173,8 @@ class VehicleGroup:
         """
         rows = observation.T.astype(np.float64)
         if self._expert_columns:
-            steps = ahead[self._expert_columns].reshape(-1, 2, len(rows))
-            rows = with_preview(rows.T, steps, self.sub_envs.parts.bound_factor).T
+            steps, parts = ahead[self._expert_columns].reshape(-1, self._axes, len(rows)), self.sub_envs.parts
+            rows = with_preview(rows.T, steps, parts.bound_factor, parts.model).T
         action, self._memory = self.expert.predict(rows, self._memory, begins)
         return action.T
 
@@ -182,6 +186,9 @@ class VehicleGroup:
             squared_error: of the position [m^2] there, shape (N,).
         """
         failed = ~(squared_error <= np.array([scenario.lost_distance**2 for scenario in self._first]))
+        names = self.sub_envs.parts.model.state
+        if "theta" in names:
+            failed |= ~(np.abs(carried.state[names.index("theta")]) < MAX_PITCH)
         self.begins = failed | (self._left < self._settings.n_steps)
         self.carried = Carried(*(np.where(self.begins, 0.0, x) for x in carried))
         indices = self.begins.nonzero()[0]

@@ -80,7 +80,8 @@ class TrainingWindow:
             *(self._zeros(steps + 1, rows, n) for rows in (moved["state"], size, inputs.memory, outputs, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
-            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), moved["sample"], features, outputs, 1)
+            self._zeros(steps, rows, n)
+            for rows in (self._model.layout.axes * len(inputs.preview), moved["sample"], features, outputs, 1)
         )
         self._parameters = self._zeros(moved["parameters"], n)
         chosen = (*authority, *RunConstants(*objective.loss, objective.shares / steps))

@@ -27,7 +27,9 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.scenarios.records import from_record, guarded
 from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
-from baselines.agents.networks import OUTPUTS, Mlp
+from baselines.agents.features import STANDARD, Inputs
+from baselines.agents.networks import Mlp
+from baselines.agents.space_features import SpaceInputs
 from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS, RunFolder, TrainingError
 from baselines.training.sb3.vec_env import SB3VecEnv
@@ -126,7 +128,9 @@ def make_model(config: Config) -> Any:
     first = settings.learning_rate
     values["learning_rate"] = LinearSchedule(first, first * settings.final_share, 1.0)
     if settings.noise_std:
-        values["action_noise"] = NormalActionNoise(np.zeros(OUTPUTS), np.full(OUTPUTS, settings.noise_std))
+        values["action_noise"] = NormalActionNoise(
+            *(np.full(len(config.authority), std) for std in (0.0, settings.noise_std))
+        )
     env = make_training_env(config)
     with guarded(f"hyper-parameters of {config.algo}"), warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
@@ -155,14 +159,19 @@ def make_training_env(config: Config) -> VecFeatures:
     """
     expert, (settings, _) = config.make_expert(), separated(config)
     track = gym.make_vec(
-        "auv_gym:UnderactuatedAUVTrack-v0",
+        f"auv_gym:UnderactuatedAUVTrack{'3D' if _inputs(config) != STANDARD else ''}-v0",
         num_envs=settings.n_envs,
         vectorization_mode="vector_entry_point",
         scenario=config.env_scenarios(settings.n_envs),
         preview=preview_of(expert),
     )
     residual = SB3VecEnv(VectorResidualAction(track, expert, config.authority))
-    return VecFeatures(residual, settings.error_weight, settings.reward_share, settings.lead)
+    return VecFeatures(residual, settings.error_weight, settings.reward_share, settings.lead, _inputs(config))
+
+
+def _inputs(config: Config) -> Inputs | SpaceInputs:
+    """Return the features of a configuration, those in space if its scenarios are."""
+    return SpaceInputs() if config.scenarios[0][0].vertical else STANDARD
 
 
 def start_at_expert(policy: Any, std: float | None = None) -> None:
@@ -218,8 +227,16 @@ def exported_agent(policy: Any, config: Config) -> Agent:
         for i, layer in enumerate(linear)
         for name, value in layer.named_parameters()
     }
-    network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound)
-    return Agent(network, weights, config.expert, config.authority, config.names, whole_model=config.whole_model)
+    network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound, len(config.authority))
+    return Agent(
+        network,
+        weights,
+        config.expert,
+        config.authority,
+        config.names,
+        inputs=_inputs(config),
+        whole_model=config.whole_model,
+    )
 
 
 class Tracker(BaseCallback):

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.effects.base import Measured
 from auv_gym.physics.rows import flatten
 from auv_gym.planning.paths import PATHS, Path
 from auv_gym.scenarios.episode import Episode
@@ -77,7 +76,7 @@ def data(agents: Mapping[str, Exported]) -> str:
         "at": {
             "plant": _places(PLANT),
             "sample": _places(SAMPLE),
-            "weather": _places(WEATHER),
+            "weather": {**WEATHER.mean._asdict(), **_places(WEATHER)},  # type: ignore[attr-defined]
             "estimate": _places(PLACE),
         },
         "limits": [PARAMETERS.F_u_max, PARAMETERS.F_r_max],
@@ -136,12 +135,12 @@ def _path(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
     storm, current = PRESETS[f"{speed_range}-storm"], episode_of(speed_range, "storm", path, 0).current
-    noise = Measured(*TYPICAL_NOISE[speed_range].noise)
-    weather = weather_of(current, storm.control_dt, least_speed([table]), noise, Measured(*[0.0] * 6))
+    noise = TYPICAL_NOISE[speed_range].noise
+    weather = weather_of(current, storm.control_dt, least_speed([table]), noise, [0.0] * 6)
     return {
         "table": _encoded(table, np.float64),
         "beyond": _encoded(table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0], np.float64),
-        "weather": flatten(weather),  # with the typical noise; the controls of the page scale it
+        "weather": weather,  # with the typical noise; the controls of the page scale it
     }
 
 

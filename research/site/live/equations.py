@@ -135,10 +135,10 @@ def _sea_kernel() -> Kernel:
 
     def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> dict[str, Any]:
         w, k = unflatten(WEATHER, weather), gust[0]
-        new = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
-        current = gusty_current(k, (new.filtered_x, new.filtered_y), w, SYMBOLS)
+        new = next_gust(Gust.of(gust), normals[GUSTS], w, SYMBOLS)
+        current = gusty_current(k, new.filtered, w, SYMBOLS)
         load = wave_load(k, [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)], SYMBOLS)
-        return {"gust": new, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
+        return {"gust": new.row, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
 
     rows = {"gust": GUST_ROWS, "normals": NORMALS, "weather": WEATHER_ROWS, "waves": WAVE_ROWS * COMPONENTS}
     return Kernel.traced(equation, rows)

@@ -1,4 +1,5 @@
-// Animation of an episode on a canvas: reference, vehicles with their trajectories, and the current.
+// Animation of an episode on a canvas: reference, vehicles with their trajectories, and the current. In space a plot of
+// the depths over time is below the map.
 
 /** Return the player. `chart` draws the errors and the time; `shown()` returns the set of selected policies. */
 function player(looks, chart, shown) {
@@ -109,13 +110,44 @@ function player(looks, chart, shown) {
     text(`current ${speed.toFixed(2)} m/s`, width - 14, 96, "right");
   }
 
+  /** Draw the depths of reference and vehicles over time, from a height on. */
+  function depths(top, width, height) {
+    const ways = [episode.reference, ...vehicles()];
+    const all = ways.flatMap((way) => way.depth);
+    const [low, high] = [Math.min(...all) / 100 - 0.5, Math.max(...all) / 100 + 0.5];
+    const [left, right, lower] = [56, width - 14, height - 22];
+    const at = (time, depth) => [left + ((right - left) * time) / end(), top + ((lower - top) * (depth - low)) / (high - low)];
+    pen.fillStyle = "#fff";
+    pen.fillRect(0, top - 12, width, height);
+    const tick = [1, 2, 5, 10, 20, 50, 100].find((m) => (high - low) / m <= 4) ?? 500;
+    for (let depth = Math.ceil(low / tick) * tick; depth <= high; depth += tick) {
+      const y = at(0, depth)[1];
+      pen.fillStyle = "#dde3e8";
+      pen.fillRect(left, y, right - left, 1);
+      text(`${depth} m`, left - 6, y + 4, "right");
+    }
+    text("depth", left, height - 6);
+    ways.forEach((way, i) => {
+      const { colour, dash, width: thick } = i ? { ...looks.get(way.policy), width: 2 } : { colour: "#c9cfd6", width: 5 };
+      Object.assign(pen, { strokeStyle: colour, lineWidth: thick });
+      pen.setLineDash(dash ?? []);
+      pen.beginPath();
+      way.depth.forEach((depth, k) => pen.lineTo(...at(k * episode.dt, depth / 100)));
+      pen.stroke();
+      pen.setLineDash([]);
+    });
+    pen.fillStyle = "#6b7682";
+    pen.fillRect(at(t, 0)[0], top, 1, lower - top);
+  }
+
   function draw() {
     if (!episode) return;
     const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    if (canvas.width !== Math.round(width * ratio)) [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
+    const [width, whole] = [canvas.clientWidth, canvas.clientHeight];
+    const height = episode.reference.depth ? 0.7 * whole : whole;
+    if (canvas.width !== Math.round(width * ratio)) [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(whole * ratio)];
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
+    pen.clearRect(0, 0, width, whole);
     if (!width) return;
     const { to, scale } = view(width, height);
     line(episode.reference, to, end(), { colour: "#c9cfd6", width: 6 });
@@ -131,6 +163,7 @@ function player(looks, chart, shown) {
     const length = Math.max(22, Math.min(1.5 * scale, 60));
     for (const v of vehicles()) vehicle(pose(v, t), to, length, looks.get(v.policy).colour, over(v));
     margins(width, height, scale);
+    if (episode.reference.depth) depths(height + 12, width, whole);
     clock.textContent = `${t.toFixed(1)} of ${end().toFixed(0)} s`;
     slider.value = t;
     writeErrors();
