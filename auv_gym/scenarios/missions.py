@@ -20,11 +20,13 @@ import numpy as np
 
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.planning.paths import Legs, from_geographic
+from auv_gym.planning.paths.space import Through, WithHeight
 from auv_gym.planning.paths.waypoints import WaypointWarning
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.scenario import MOST_STEPS, Scenario
 from auv_gym.scenarios.vehicles import PAPER, PAPER_TURN_RATE, VehicleModel, as_vehicle_model
+from auv_gym.scenarios.vertical import Vertical
 
 SUFFIXES = ".csv", ".geojson", ".json", ".plan", ".waypoints", ".txt"
 """Files of missions: columns x, y or lat, lon; GeoJSON; plans and waypoint files of QGroundControl, also as .txt."""
@@ -34,13 +36,14 @@ _NAMES = {
     "lat": ("lat", "latitude"),
     "lon": ("lon", "long", "lng", "longitude"),
     "speed": ("speed", "velocity", "vel", "groundspeed"),
+    "depth": ("depth",),
 }
 _HEAD = re.compile(r"(.*?)(?:[\s_]*[\[(]\s*(.*?)\s*[\])]|[\s_]([a-z/]+))?")
 """A heading of a column: "speed [m/s]", "speed (m/s)", "speed_kn", "speed"."""
 _LENGTHS, _ANGLES = {"m": 1.0, "km": 1e3}, {"deg": 1.0, "degrees": 1.0}
 _SPEEDS = {"m/s": 1.0, "mps": 1.0, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6}
 _SPEEDS |= dict.fromkeys(("kn", "kt", "kts", "knots"), 1852 / 3600)
-_UNITS = {"x": _LENGTHS, "y": _LENGTHS, "lat": _ANGLES, "lon": _ANGLES, "speed": _SPEEDS}
+_UNITS = {"x": _LENGTHS, "y": _LENGTHS, "lat": _ANGLES, "lon": _ANGLES, "speed": _SPEEDS, "depth": _LENGTHS}
 """Units of the columns, the first of each without one, and their factors."""
 _WAYPOINT, _SPLINE, _SPEED = 16, 82, 178  # of MAVLink: NAV_WAYPOINT, NAV_SPLINE_WAYPOINT, DO_CHANGE_SPEED
 _IN_PLACE = (112, 113, 114, 115, 177, 194)
@@ -58,6 +61,7 @@ class Mission:
     points: tuple[tuple[float, float], ...]  # x, y [m]
     speeds: tuple[float, ...] = ()  # [m/s] one for each leg, nan where it has none; or none
     origin: tuple[float, float] | None = None  # latitude, longitude [deg] of x = y = 0, if the file has them
+    depths: tuple[float, ...] = ()  # [m] one for each waypoint, or none: motion in the plane
 
 
 def read_mission(file: str | FilePath) -> Mission:
@@ -101,6 +105,8 @@ def mission_scenario(
 ) -> Scenario:
     """Return the scenario in which a vehicle follows a mission: straight legs and rounded corners, in a current.
 
+    A mission with depths is one in space: the rate of climb is constant on a leg and changes in the corner.
+
     Args:
         mission: the waypoints.
         vehicle: a name, a file, or a model; None: the paper's vehicle.
@@ -109,7 +115,8 @@ def mission_scenario(
         current: V_x (to the east), V_y (to the north) [m/s].
 
     Raises:
-        ValueError: the vehicle is unknown, a number is out of range, or a corner does not fit on its legs.
+        ValueError: the vehicle is unknown, a number is out of range, a corner does not fit on its legs, or a change of
+            depth has no leg.
     """
     model = as_vehicle_model(vehicle) or PAPER
     speed = model.vehicle.speed if speed is None else speed
@@ -120,7 +127,8 @@ def mission_scenario(
     path = Legs(mission.points, speed, radius, speeds)
     V_x, V_y = map(float, current)
     flow = RandomCurrent(speed=math.hypot(V_x, V_y), direction=math.atan2(V_y, V_x), relative=False)
-    scenario = Scenario(mission.name, path, steps=1, current=flow if V_x or V_y else None)
+    steered, vertical = _in_space(path, mission, radius) if mission.depths else (path, None)
+    scenario = Scenario(mission.name, steered, steps=1, current=flow if V_x or V_y else None, vertical=vertical)
     scenario = replace(changed(scenario, vehicle), name=mission.name)
     if (steps := max(1, int(path.end / scenario.control_dt))) > MOST_STEPS:
         longest = np.hypot(*np.diff(path.waypoints, axis=0).T)
@@ -130,6 +138,18 @@ def mission_scenario(
             "right?"
         )
     return replace(scenario, steps=steps)
+
+
+def _in_space(path: Legs, mission: Mission, radius: float) -> tuple[WithHeight, Vertical]:
+    """Return the path of a mission with depths, and the vertical part of its scenario."""
+    times = path.arrivals.tolist()
+    if path.closed or len(times) != len(mission.depths):
+        raise ValueError("two waypoints are at one place with depths of their own; a vehicle cannot dive on the spot")
+    if (least := min(mission.depths)) < 0:
+        raise ValueError(f"a depth is {least:.4g} m; depths are positive below the surface")
+    blend = min(radius / max(path.speeds or (path.speed,)), 0.5 * min(np.diff(times)))
+    heights = tuple(-depth for depth in mission.depths)
+    return WithHeight(path, Through(times, heights, float(blend))), Vertical()
 
 
 def _note(text: str) -> None:
@@ -154,9 +174,10 @@ def _of_table(name: str, text: str) -> Mission:
     pair = ("lat", "lon") if {"lat", "lon"} <= set(found) else ("x", "y")
     if not set(pair) <= set(found):
         raise ValueError(
-            f"its columns are {', '.join(heading)}; it needs x and y [m], or lat and lon [deg]; speed [m/s] is optional"
+            f"its columns are {', '.join(heading)}; it needs x and y [m], or lat and lon [deg]; speed "
+            "[m/s] and depth [m] are optional"
         )
-    used = {found[key][0] for key in (*pair, "speed") if key in found}
+    used = {found[key][0] for key in (*pair, "speed", "depth") if key in found}
     if unused := [column for k, column in enumerate(heading) if k not in used]:
         _note(f"{name}: the columns {', '.join(unused)} are not used")
 
@@ -176,9 +197,10 @@ def _of_table(name: str, text: str) -> Mission:
 
     first, second = column(pair[0]), column(pair[1])
     speeds = column("speed", math.nan) if "speed" in found else [math.nan] * len(first)
+    depths = tuple(column("depth")) if "depth" in found else ()
     if pair == ("lat", "lon"):
-        return _geographic(name, first, second, speeds)
-    return Mission(name, tuple(zip(first, second, strict=True)), _of_legs(speeds))
+        return replace(_geographic(name, first, second, speeds), depths=depths)
+    return Mission(name, tuple(zip(first, second, strict=True)), _of_legs(speeds), depths=depths)
 
 
 def _place(heading: Sequence[str], key: str) -> tuple[int, float] | None:

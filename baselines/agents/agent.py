@@ -90,7 +90,8 @@ class Agent:
         """
         in_space = isinstance(self.inputs, SpaceInputs)
         if vehicle is not None and in_space != isinstance(vehicle, SpaceVehicle):
-            raise ValueError(f"the agent was trained in {'space' if in_space else 'the plane'}, the scenario is not")
+            kinds = ("motion in space", "motion in the plane")[:: 1 if in_space else -1]
+            raise ValueError("the agent is for {}; the scenario or vehicle is for {}".format(*kinds))
         if in_space:
             steered: Any = vehicle or PAPER.in_space
             return ResidualPolicy(

@@ -107,10 +107,11 @@ def results_json(
 
 
 def reference_csv(scenario: Scenario) -> str:
-    """Return the reference of a fixed path as a table: t [s], x, y [m], psi [rad], u, v [m/s], r [rad/s], F_u, F_r."""
+    """Return the reference of a fixed path as a table: t [s] and the entries of `Model.Reference` in SI units."""
     table = scenario.planner.table(cast(Path, scenario.path)).tolist()
     rows = (",".join(f"{x:.9g}" for x in (k * scenario.control_dt, *row)) for k, row in enumerate(table))
-    return "\n".join(("t,x,y,psi,u,v,r,F_u,F_r", *rows, ""))
+    heading = ",".join(("t", *scenario.parts.model.Reference._fields))
+    return "\n".join((heading, *rows, ""))
 
 
 def results_csv(results: Sequence[Result]) -> str:

@@ -63,12 +63,12 @@ class Request:
         _check(options)
         import_effects(options.effects)
         named = [seeds_of(name) or (name,) for name in options.policy]
-        scenarios = [checked_scenario(name) for name in options.scenario]
-        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)), scenarios)
         trainings = tuple(seeds for seeds in named if len(seeds) > 1)
         suite = options.suite if options.scenario or options.mission else options.suite or DEFAULT_SUITE
         frozen = suite in list_suites()
         cells, digest, recorded = _frozen(suite or "", options) if frozen else _drawn(suite, options)
+        scenarios = [cell.scenario for cell in cells]
+        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)), scenarios)
         earlier = tuple(run for run in recorded.runs if run.policy not in names)
         if frozen and all(run.policy != OPTIMUM_POLICY for run in earlier):
             names = tuple(dict.fromkeys((*names, OPTIMUM_POLICY)))
@@ -222,8 +222,9 @@ def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -
     Raises:
         UsageError: a policy cannot be made.
     """
-    space = [scenario.known for scenario in scenarios if scenario.vertical]
-    vehicles: list[Any] = space if len(space) == len(scenarios) > 0 else [*space, PAPER_VEHICLE]
+    space = dict.fromkeys(scenario.known for scenario in scenarios if scenario.vertical)
+    in_plane = not scenarios or any(scenario.vertical is None for scenario in scenarios)
+    vehicles: list[Any] = [*space, *([PAPER_VEHICLE] if in_plane else [])]
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from auv_gym import decode_observation
+from auv_gym.envs.space import UnderactuatedAUVTrack3DEnv
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import from_geographic
@@ -213,6 +215,41 @@ def test_a_vehicle_follows_a_mission_at_its_speed_in_a_current():
     assert scenario.steps == int(scenario.path.end / scenario.control_dt)
     assert scenario.duration <= scenario.path.end
     assert Scenario.from_dict(json.loads(json.dumps(scenario.to_dict()))) == scenario
+
+
+def test_a_vehicle_dives_to_the_depths_of_a_mission(tmp_path):
+    """The planned forces alone keep it near the path; at a waypoint it is at the depth, beside the rounding."""
+    (tmp_path / "m.csv").write_text("x,y,depth [m]\n0,0,5\n60,0,12\n60,40,12\n0,40,4\n", encoding="utf-8")
+    mission = read_mission(tmp_path / "m.csv")
+    assert mission.depths == (5, 12, 12, 4)
+    scenario = mission_scenario(mission, speed=0.5, radius=8.0)
+    assert Scenario.from_dict(json.loads(json.dumps(scenario.to_dict()))) == scenario
+    env = UnderactuatedAUVTrack3DEnv(scenario)
+    observation, _ = env.reset(seed=0)
+    depths, ended = [5.0], False
+    while not ended:
+        o = decode_observation(observation, space=True)
+        action = np.divide((o.F_uR, o.F_qR, o.F_rR), (o.F_u_max, o.F_q_max, o.F_r_max))
+        observation, _, lost, ended, info = env.step(action)
+        depths.append(-env.state[2])
+        assert not lost
+    at = np.rint(scenario.path.path.arrivals / scenario.control_dt).astype(int)[:-1]
+    np.testing.assert_allclose(np.array(depths)[at], mission.depths[:-1], atol=0.4)
+    assert info["position_error"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("points", "depths", "vehicle", "message"),
+    [
+        (((0, 0), (60, 0)), (5, -1), None, "a depth is -1 m; depths are positive below the surface"),
+        (((0, 0), (60, 0), (60, 0), (60, 60)), (5, 5, 9, 9), None, "cannot dive on the spot"),
+        (((0, 0), (60, 0)), (5, 59), "remus100", "the pitch|a climb"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::auv_gym.planning.paths.waypoints.WaypointWarning")
+def test_depths_that_cannot_be_followed_are_refused(points, depths, vehicle, message):
+    with pytest.raises(ValueError, match=message):
+        UnderactuatedAUVTrack3DEnv(mission_scenario(Mission("m", points, depths=depths), vehicle)).reset(seed=0)
 
 
 @pytest.mark.parametrize("vehicle", ["lauv", "otter", "remus100"])

@@ -12,8 +12,8 @@ from auv_gym.physics.space import Limits, SpaceVehicle, axes, state_rates
 from auv_gym.physics.vehicle import PAPER_2007
 from auv_gym.planning import planner
 from auv_gym.planning.feasibility import InfeasibleReferenceError
-from auv_gym.planning.paths import Circle, FigureEight, Lawnmower, Line, Sine
-from auv_gym.planning.paths.space import Climb, Steps, Trefoil, Wave, WithHeight
+from auv_gym.planning.paths import Circle, FigureEight, Lawnmower, Legs, Line, Sine
+from auv_gym.planning.paths.space import Climb, Steps, Through, Trefoil, Wave, WithHeight
 from auv_gym.planning.space import plan
 from auv_gym.scenarios.vehicles import PAPER, vehicle_model
 
@@ -118,13 +118,32 @@ def test_in_an_inclined_plane_a_neutral_body_of_revolution_moves_as_in_a_level_o
     assert np.abs(ahead[2] * math.cos(1.0) - ahead[1] * math.sin(1.0)).max() < 1e-8  # the axis stays in the plane
 
 
-@pytest.mark.parametrize("path", paths(1.0, 0.1).values(), ids=paths(1.0, 0.1))
+DIVE = WithHeight(
+    Legs(((0, 0), (11, 0), (30, 8), (60, 8)), 1.0, 5.0), Through((0.0, 10.5, 30.0, 60.0), (-5.0, -7.0, -4.0, -9.0), 3.0)
+)
+
+
+@pytest.mark.parametrize("path", [*paths(1.0, 0.1).values(), DIVE], ids=[*paths(1.0, 0.1), "waypoints"])
 def test_derivatives_of_the_paths_are_those_of_their_positions(path):
     t = np.linspace(10.0, 12.0, 201)
     derivatives = path.derivatives(t)
     for k in range(3):
         slope = make_interp_spline(t, derivatives[k].T, k=7).derivative()(t)
         np.testing.assert_allclose(derivatives[k + 1].T, slope, atol=1e-7)
+
+
+def test_heights_join_times_by_constant_rates():
+    """Beside the changes the heights are linear, and in their middle 5/32 of blend times change of rate away."""
+    times, heights, blend = DIVE.height.times, DIVE.height.heights, DIVE.height.blend
+    middles = 0.5 * np.add(times[1:], times[:-1])
+    rates = np.diff(heights) / np.diff(times)
+    z, climb, *bend = DIVE.height.derivatives(middles)
+    np.testing.assert_allclose(z, np.interp(middles, times, heights), atol=1e-12)
+    np.testing.assert_allclose(climb, rates, atol=1e-12)
+    np.testing.assert_array_equal(bend, 0.0)
+    z = DIVE.height.derivatives(np.array(times))[0]
+    np.testing.assert_allclose(z[1:-1] - heights[1:-1], 5 / 32 * blend * np.diff(rates), atol=1e-12)
+    assert (z[0], z[-1]) == pytest.approx((heights[0], heights[-1]))
 
 
 REMUS = vehicle_model("remus100")
@@ -194,6 +213,9 @@ def test_a_climb_at_the_trim_bound_of_the_fins_is_planned():
         (lambda: plan(Trefoil(1.0, 1.0, 0.1), VEHICLES["paper"], TIMES[::-1]), "times must increase"),
         (lambda: plan(Trefoil(1.0, 1.0, 0.1), VEHICLES["paper"], 1e5 * TIMES), "the plan needs"),
         (lambda: Steps(((1.0, math.nan),), 2.0), "a step must be a time"),
+        (lambda: Through((0.0, 5.0), (1.0,), 1.0), "as many heights as times, two or more; there are 1 and 2"),
+        (lambda: Through((0.0, 5.0, 6.0), (1.0, 2.0, 3.0), 1.0), "two times are 1 s apart; twice the blend is 2 s"),
+        (lambda: Through((0.0, math.inf), (1.0, 2.0), 1.0), "times and heights must be finite"),
         (lambda: Trefoil(-1.0, 1.0, 0.1), "size must be finite and positive"),
     ],
 )

@@ -1,7 +1,8 @@
 """Paths in space: planar paths with a height, and a knot. Any other `SpacePath` can be planned as well.
 
-A height is a formula of time with three derivatives: `Climb`, `Steps` or `Wave`. A helix is a circle that climbs, a
-lawnmower pattern with `Steps` covers one depth after another, and a line with one step dives and levels out.
+A height is a formula of time with three derivatives: `Climb`, `Steps`, `Wave` or `Through`. A helix is a circle that
+climbs, a lawnmower pattern with `Steps` covers one depth after another, a line with one step dives and levels out, and
+`Legs` with `Through` pass waypoints with depths.
 """
 
 from __future__ import annotations
@@ -107,6 +108,55 @@ class Wave:
         return _sine(self.amplitude, self.frequency, self.phase, t)
 
 
+@dataclass(frozen=True)
+class Through:
+    """Heights at given times, joined by constant rates, z = z_k + rate_k (t - t_k); the rate changes within `blend`.
+
+    A change of the rate follows S(x) = 1/2 + 15/16 (x - 2/3 x^3 + 1/5 x^5), with x the time from t_k over `blend`, from
+    -1 to 1. So the height has three continuous derivatives. Before the first and after the last time the rate is that
+    of the nearest leg. In the middle of a change the height differs from the given one by 5/32 of `blend` times the
+    change of the rate.
+
+    Raises:
+        ValueError: there are not as many heights as times, fewer than two, the times do not increase by twice `blend`
+            or more, or a number is not finite.
+    """
+
+    times: Sequence[float]  # [s]
+    heights: Sequence[float]  # [m]
+    blend: float  # [s] half of the time in which the rate changes
+
+    def __post_init__(self) -> None:
+        check_number("Through blend", self.blend, 1e-6, 1e6)
+        times, heights = np.array(self.times, dtype=np.float64), np.array(self.heights, dtype=np.float64)
+        if not (times.shape == heights.shape and times.ndim == 1 and len(times) >= 2):
+            raise ValueError(
+                f"Through needs as many heights as times, two or more; there are {heights.size} and {times.size}"
+            )
+        if not (np.isfinite(times).all() and np.isfinite(heights).all()):
+            raise ValueError("Through: times and heights must be finite")
+        if (shortest := float(np.diff(times).min())) < 2 * self.blend:
+            raise ValueError(
+                f"Through: two times are {shortest:.4g} s apart; twice the blend is {2 * self.blend:.4g} s"
+            )
+        object.__setattr__(self, "times", tuple(times.tolist()))
+        object.__setattr__(self, "heights", tuple(heights.tolist()))
+
+    def derivatives(self, t: Array) -> Array:
+        """See `Height.derivatives`."""
+        times, h = np.array(self.times), self.blend
+        rates = np.diff(self.heights) / np.diff(times)
+        rows = np.stack((self.heights[0] + rates[0] * (t - times[0]), np.full_like(t, rates[0]), 0 * t, 0 * t))
+        for middle, change in zip(times[1:-1], np.diff(rates), strict=True):
+            after = (t - middle) / h
+            x = np.clip(after, -1.0, 1.0)
+            bump = 1 - x * x
+            ramp = 5 / 32 + x / 2 + 15 / 16 * (x**2 / 2 - x**4 / 6 + x**6 / 30) + np.maximum(after - 1.0, 0.0)
+            step = 0.5 + 15 / 16 * (x - 2 / 3 * x**3 + x**5 / 5)
+            rows += change * np.stack((h * ramp, step, 15 / 16 * bump**2 / h, -15 / 4 * x * bump / h**2))
+        return rows
+
+
 def _sine(amplitude: float, frequency: float, phase: float, t: Array) -> Array:
     """Return a sine and its first three derivatives, shape (4, T)."""
     angle = frequency * t + phase
@@ -179,7 +229,7 @@ class Trefoil(SpacePath):
         return curve
 
 
-HEIGHTS: dict[str, type] = {"climb": Climb, "steps": Steps, "wave": Wave}
+HEIGHTS: dict[str, type] = {"climb": Climb, "steps": Steps, "wave": Wave, "through": Through}
 """The heights by their names in scenarios."""
 SPACE_PATHS: dict[str, type] = {"with_height": WithHeight, "trefoil": Trefoil}
 """The families of paths in space by their names in scenarios."""
