@@ -98,7 +98,7 @@ def test_the_optimum_of_a_similar_vehicle_is_similar():
 def test_with_active_limits_a_receding_horizon_gives_a_better_optimum_than_the_oracle():
     """A torpedo with lift and small fins in a storm: started at the commands of the oracle, the solver ends badly."""
     scenario = as_scenario("cruise-storm@remus100")
-    episodes = drawn(scenario, 4, 5).episodes[3:]
+    episodes = drawn(scenario, 23, 5).episodes[22:]
     problem = Problem.of(scenario, episodes)
     guess = arriving(oracle_actions(scenario, episodes), problem.delay)
     alone = optimised(problem, problem.open_loop(guess))
