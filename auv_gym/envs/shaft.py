@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from auv_gym.effects.actuators import fin_share
 from auv_gym.envs.spaces import checked_action, checked_actions
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.physics.namespaces import ARRAYS, Array, sum_of
 from auv_gym.physics.space import Limits, axes
 from auv_gym.physics.steering import thrust
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle_model
-from auv_gym.task.space import sum_of
 
 _LEAST = 1e-6
 """Least share of the fins' torque that is divided by; below, fins give none."""

@@ -169,6 +169,14 @@ def wrap_angle(angle: Number, ns: Namespace = FLOATS) -> Number:
     return angle - 2 * math.pi * ns.floor((angle + math.pi) / (2 * math.pi))
 
 
+def sum_of(numbers: Iterable[Number]) -> Number:
+    """Return the sum, in the order of the numbers."""
+    first, *others = numbers
+    for x in others:
+        first = first + x
+    return first
+
+
 def sum_of_squares(numbers: Iterable[Number]) -> Number:
     """Return the sum of the squares, in their order."""
     first, *others = numbers

@@ -143,7 +143,7 @@ def mission_scenario(
 def _in_space(path: Legs, mission: Mission, radius: float) -> tuple[WithHeight, Vertical]:
     """Return the path of a mission with depths, and the vertical part of its scenario."""
     times = path.arrivals.tolist()
-    if path.closed or len(times) != len(mission.depths):
+    if len(times) != len(mission.depths):
         raise ValueError("two waypoints are at one place with depths of their own; a vehicle cannot dive on the spot")
     if (least := min(mission.depths)) < 0:
         raise ValueError(f"a depth is {least:.4g} m; depths are positive below the surface")

@@ -12,8 +12,8 @@ from typing import Annotated, Any, NamedTuple
 
 from auv_gym.effects.actuators import Response
 from auv_gym.physics import space
-from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.physics.space import Errors, SpaceCoefficients, axes
+from auv_gym.physics.namespaces import Namespace, Number, sum_of
+from auv_gym.physics.space import SpaceCoefficients, axes
 from auv_gym.task.model import Model
 from auv_gym.task.observation import L, V, W
 
@@ -171,18 +171,6 @@ def _over_ground(state: Sequence[Number], current: Sequence[Number], ns: Namespa
     return *state[:5], *(a + b for a, b in zip((u, v, w), drift, strict=True)), *rates
 
 
-def sum_of(numbers: Any) -> Number:
-    """Return the sum, in the order of the numbers."""
-    first, *others = numbers
-    for x in others:
-        first = first + x
-    return first
-
-
-def _errors(measured: Sequence[Number], reference: Sequence[Number], ns: Namespace) -> Errors:
-    return space.tracking_errors(measured, reference, ns)
-
-
 def _terms(
     errors: Sequence[Number],
     measured: Sequence[Number],
@@ -235,7 +223,7 @@ SPACE = Model(
     advance=space.rk4_step,
     from_outside=space.load_from_outside,
     over_ground=_over_ground,
-    errors=_errors,
+    errors=space.tracking_errors,
     terms=_terms,
     displaced=_displaced,
 )

@@ -11,8 +11,7 @@ from auv_gym.task.model import Model
 from auv_gym.task.preview import checked_preview
 from auv_gym.task.space import SPACE, Observation, in_body_frame, in_world
 from baselines.agents.features import FAST, LARGEST_FEATURE, SLOW, Feature, fine
-from baselines.space.backstepping import squared
-from baselines.space.integral import wanted
+from baselines.space.backstepping import squared, wanted
 
 _LARGEST_ERROR = 4.0  # largest position error that is integrated, in units of U * 1 s
 _AXES, _CHANNELS = "xyz", "uqr"

@@ -35,7 +35,7 @@ PREFERRED = np.array([float(f"{m}e{e}") for e in range(-4, 10) for m in (1, 1.25
 with the speed; rounding keeps the number of designs small."""
 
 _STATES, _FORCES = 8, 2  # number of errors and integrals, number of forces
-_ERRORS, _INTEGRALS = slice(0, 6), slice(6, 8)  # e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals
+_INTEGRALS = slice(6, 8)  # behind e_x, e_y, psi_e, u_e, v_e, r_e
 _POSITION, _VELOCITY, _HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
 _HEADING, _TURN = 2, 5
 
@@ -70,19 +70,35 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
 
     The states are the six errors, xi in the body frame (2), the lagged forces (2) and the previous command (2).
     """
+    A, B = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
+    return sampled(A, B, np.array([[0.0, r_R], [-r_R, 0.0]]), w, dt)
+
+
+def sampled(A: Array, B: Array, turning: Array, w: LqiWeights, dt: float) -> tuple[Array, Array]:
+    """Return Phi, Gamma of one control period with a constant command, for any number of errors and actuators.
+
+    The states are the errors, of which those of the position are the first, xi in the body frame, the lagged forces and
+    the previous command.
+
+    Args:
+        A: error dynamics, shape (errors, errors).
+        B: the same for the forces, shape (errors, forces).
+        turning: matrix of xi' by xi, as the body frame turns, shape (axes, axes).
+        w: the weights.
+        dt: control period [s].
+    """
     from scipy.linalg import expm
 
-    A6, B6 = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
-    turning = np.array([[0.0, r_R], [-r_R, 0.0]])
-    n = _STATES + _FORCES
-    M = np.zeros((n + _FORCES, n + _FORCES))  # continuous-time model of the first ten states and the command
-    M[_ERRORS, _ERRORS], M[_ERRORS, _STATES:n] = A6, B6
-    M[_INTEGRALS, _INTEGRALS] = turning
-    M[_INTEGRALS, _POSITION] = w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
-    M[_STATES:n, _STATES:n], M[_STATES:n, n:] = -np.eye(_FORCES) / w.lag, np.eye(_FORCES) / w.lag
+    (errors, forces), axes = B.shape, len(turning)
+    states, n = errors + axes, errors + axes + forces
+    M = np.zeros((n + forces, n + forces))  # continuous-time model without the previous command, and of the command
+    M[:errors, :errors], M[:errors, states:n] = A, B
+    M[errors:states, errors:states] = turning
+    M[errors:states, :axes] = w.rate * np.eye(axes)  # xi' = rate R e in the world
+    M[states:n, states:n], M[states:n, n:] = -np.eye(forces) / w.lag, np.eye(forces) / w.lag
     step = expm(dt * M)
-    Phi, Gamma = np.zeros((n + _FORCES, n + _FORCES)), np.zeros((n + _FORCES, _FORCES))
-    Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(_FORCES)
+    Phi, Gamma = np.zeros((n + forces, n + forces)), np.zeros((n + forces, forces))
+    Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(forces)
     return Phi, Gamma
 
 
@@ -99,8 +115,6 @@ def optimal_gain(
         dt: control period [s].
         limits: of the actuators, F_u [N] and F_r [N m].
     """
-    from scipy.linalg import block_diag, solve_discrete_are
-
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = steady_sway(u_R, r_R, vehicle)
     weighted = np.zeros((_STATES, _STATES))  # errors times the roots of their weights
@@ -109,10 +123,29 @@ def optimal_gain(
     weighted[_VELOCITY, _HEADING_AND_VELOCITY] = w.velocity * np.array(
         [[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]]
     )  # (17), linearised
-    effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
-    change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
-    Q = block_diag(weighted.T @ weighted, np.zeros((_FORCES, _FORCES)), change)
-    cross = np.vstack((np.zeros((_STATES + _FORCES, _FORCES)), -change))
+    return least_cost_gain(Phi, Gamma, weighted, w, dt, limits)
+
+
+def least_cost_gain(
+    Phi: Array, Gamma: Array, weighted: Array, w: LqiWeights, dt: float, limits: tuple[float, ...]
+) -> Array:
+    """Return K of command = -K z that minimises the cost of `LqiWeights`, for Phi, Gamma and z of `sampled`.
+
+    Args:
+        Phi: see `sampled`.
+        Gamma: see `sampled`.
+        weighted: matrix that multiplies errors and xi by the roots of their weights.
+        w: the weights; each moment has those of yaw.
+        dt: control period [s].
+        limits: of the actuators, F_u [N], then the moments [N m].
+    """
+    from scipy.linalg import block_diag, solve_discrete_are
+
+    forces, moments = len(limits), len(limits) - 1
+    effort = np.diag(np.square(np.array([w.surge_effort, *[w.yaw_effort] * moments]) / limits))
+    change = np.diag(np.square(np.array([w.surge_rate, *[w.yaw_rate] * moments]) / limits / dt))
+    Q = block_diag(weighted.T @ weighted, np.zeros((forces, forces)), change)
+    cross = np.vstack((np.zeros((len(weighted) + forces, forces)), -change))
     R = effort + change
     P = solve_discrete_are(Phi, Gamma, Q, R, s=cross)
     return np.asarray(np.linalg.solve(R + Gamma.T @ P @ Gamma, Gamma.T @ P @ Phi + cross.T))

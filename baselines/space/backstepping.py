@@ -40,6 +40,11 @@ class Wanted(NamedTuple):
     F_r: Number  # [N m]
 
 
+def wanted(o: Sequence[Number]) -> Wanted:
+    """Return what the law needs of the reference of a `task.space.Observation`, or of its terms."""
+    return Wanted(*o[_WANTED])
+
+
 def bounded_error(errors: Sequence[Number], reference: Wanted, horizon: float, ns: Namespace = FLOATS) -> Errors:
     """Return the errors with the position error e replaced by e / sqrt(1 + |e|^2 / (horizon U)^2).
 
@@ -82,9 +87,9 @@ def tracking_forces(
     upright = e_x, e_z, -theta_e, u_e, w_e, -q_e, R.u, R.w, -R.q, R.F_u, -R.F_q
     F_u, F_r = backstepping.tracking_forces(level, vehicle.horizontal, _shared(gains, R.v, R, ns), ns)
     _, F_s = backstepping.tracking_forces(upright, vehicle.vertical, _shared(gains, R.w, R, ns), ns)
-    wanted = R.u, R.v, R.w, R.q, R.r
-    moving = [nu + nu_e for nu, nu_e in zip(wanted, o[5:], strict=True)]
-    now, then = (coupling(a, nu, vehicle.acting, ns) for a, nu in ((theta, moving), (R.theta, wanted)))
+    planned = R.u, R.v, R.w, R.q, R.r
+    moving = [nu + nu_e for nu, nu_e in zip(planned, o[5:], strict=True)]
+    now, then = (coupling(a, nu, vehicle.acting, ns) for a, nu in ((theta, moving), (R.theta, planned)))
     (X, _, N), (_, _, S) = ([a - b for a, b in zip(*loads, strict=True)] for loads in zip(now, then, strict=True))
     return F_u - X, S - F_s, F_r - N
 
@@ -127,6 +132,6 @@ class SpaceBackstepping(Law):
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number, Number]:
         """Return F_u [N], F_q [N m], F_r [N m] for a `task.space.Observation` in SI units, or its terms."""
-        seen, reference = Observation._make(o), Wanted(*o[_WANTED])
+        seen = Observation._make(o)
         theta = ns.arctan2(seen.sin_theta, seen.cos_theta)
-        return tracking_forces(o[:10], theta, reference, self.vehicle, self.gains, self.horizon, ns)
+        return tracking_forces(o[:10], theta, wanted(o), self.vehicle, self.gains, self.horizon, ns)

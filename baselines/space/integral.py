@@ -8,12 +8,7 @@ import numpy as np
 
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.space import Observation, in_world
-from baselines.space.backstepping import Wanted, bounded_error, squared
-
-
-def wanted(o: Observation) -> Wanted:
-    """Return what the law needs of the reference of an observation."""
-    return Wanted(o.theta_R, o.u_R, o.v_R, o.w_R, o.q_R, o.r_R, o.F_uR, o.F_qR, o.F_rR)
+from baselines.space.backstepping import bounded_error, squared, wanted
 
 
 def speed(o: Observation) -> Array:

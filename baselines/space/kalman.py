@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from auv_gym.codegen.graph import SYMBOLS
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Namespace, Number, sum_of
 from auv_gym.physics.space import axes, drag, state_rates
-from auv_gym.task.space import SPACE, Observation, in_world, sum_of
+from auv_gym.task.space import SPACE, Observation, in_world
 from baselines.estimation.filter_equations import FilterModel, FilterUnits
 from baselines.estimation.sea_model import SeaModel
 from baselines.policy import SPEED_FLOOR

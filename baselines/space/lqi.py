@@ -16,7 +16,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.space import SpaceVehicle, axes, state_rates
 from auv_gym.task.observation import Layout
 from auv_gym.task.space import SPACE, Observation, in_body_frame
-from baselines.control.lqi import LqiWeights, preferred
+from baselines.control.lqi import LqiWeights, least_cost_gain, preferred, sampled
 from baselines.policy import Memory, first_order
 from baselines.space.integral import bounded, next_integral, speed
 
@@ -50,30 +50,16 @@ def error_dynamics(vehicle: SpaceVehicle, u_R: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def gain_schedule(vehicle: SpaceVehicle, w: LqiWeights, dt: float, limits: tuple[float, ...]) -> Array:
-    """Return K (speeds, 3, 19) of command = -K z, z as in `baselines.control.lqi.sampled_model`."""
-    from scipy.linalg import block_diag, expm, solve_discrete_are
-
+    """Return K (speeds, 3, 19) of command = -K z, z as in `baselines.control.lqi.sampled`."""
     gains = []
     for U in _SPEEDS.tolist():
         A, B = error_dynamics(vehicle, U)
-        n = _STATES + _FORCES
-        M = np.zeros((n + _FORCES, n + _FORCES))
-        M[:_ERRORS, :_ERRORS], M[:_ERRORS, _STATES:n] = A, B
-        M[_ERRORS:_STATES, :3] = w.rate * np.eye(3)
-        M[_STATES:n, _STATES:n], M[_STATES:n, n:] = -np.eye(_FORCES) / w.lag, np.eye(_FORCES) / w.lag
-        step = expm(dt * M)
-        Phi, Gamma = np.zeros((n + _FORCES, n + _FORCES)), np.zeros((n + _FORCES, _FORCES))
-        Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(_FORCES)
+        Phi, Gamma = sampled(A, B, np.zeros((3, 3)), w, dt)
         weighted = np.zeros((_STATES, _STATES))
         weighted[:3, :3] = weighted[_ERRORS:, _ERRORS:] = np.eye(3)
         weighted[3:5, 3:5], weighted[8:10, 8:10] = w.heading * U * np.eye(2), w.turn * np.eye(2)
         weighted[5:8, 3:_ERRORS] = w.velocity * A[:3, 3:]
-        effort, change = np.array([w.surge_effort, *[w.yaw_effort] * 2]), np.array([w.surge_rate, *[w.yaw_rate] * 2])
-        R1, S = np.diag(np.square(effort / limits)), np.diag(np.square(change / limits / dt))
-        Q = block_diag(weighted.T @ weighted, np.zeros((_FORCES, _FORCES)), S)
-        cross, R = np.vstack((np.zeros((n, _FORCES)), -S)), R1 + S
-        P = solve_discrete_are(Phi, Gamma, Q, R, s=cross)
-        gains.append(np.linalg.solve(R + Gamma.T @ P @ Gamma, Gamma.T @ P @ Phi + cross.T))
+        gains.append(least_cost_gain(Phi, Gamma, weighted, w, dt, limits))
     return np.array(gains)
 
 

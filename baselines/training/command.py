@@ -137,7 +137,7 @@ def checked_request(options: Options, command: str = "") -> TrainingRequest:
     configs = checked(partial(configurations, options))
     out = options.out or Path("runs/train") / _name(options)
     folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)
-    comparison = checked(partial(_comparison, options))
+    comparison = checked(partial(_comparison, options, configs[0]))
     ends = [out / RESULT if comparison else folder / AGENT_FOLDER for folder in folders]
     begun = [_holds(*run, options.resume) for run in zip(configs, folders, ends, strict=True)]
     if options.resume and not any(begun):
@@ -252,15 +252,13 @@ def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
 def _start(options: Options) -> str | None:
     """Return the agent that a training starts from, None for a new network."""
     if options.from_ is None and options.vehicle and options.algo == ALGO and options.expert is None:
-        return SPACE_BASE_AGENT if _in_space(options) else BASE_AGENT
+        return _base_agent(resolved(options.scenario))
     return None if options.from_ == NO_EXPERT else options.from_
 
 
-def _in_space(options: Options) -> bool:
-    """Return whether the training is for motion in space."""
-    if options.scenario or options.from_ in (None, NO_EXPERT):
-        return any(scenario.vertical is not None for scenario, _ in resolved(options.scenario))
-    return any(scenario.vertical is not None for scenario, _ in InitialAgent.of(options.from_).config.scenarios)
+def _base_agent(mixture: Mixture) -> str:
+    """Return the agent of the package for a mixture of scenarios of any vehicle."""
+    return SPACE_BASE_AGENT if any(scenario.vertical is not None for scenario, _ in mixture) else BASE_AGENT
 
 
 def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
@@ -321,13 +319,12 @@ def _name(options: Options) -> str:
     return "-".join(str(part) for part in parts if part != "")
 
 
-def _comparison(options: Options) -> Comparison | None:
+def _comparison(options: Options, config: Config) -> Comparison | None:
     """Return the comparison at the end; None if it is left out, or limits and lag of the vehicle are not known."""
     if options.no_compare or (vehicle_model := as_vehicle_model(options.vehicle)) is None:
         return None
-    in_space = _in_space(options)
-    agent = _start(options) or (SPACE_BASE_AGENT if in_space else BASE_AGENT)
-    comparison = Comparison(vehicle_model, options.sea, agent, in_space)
+    base = _base_agent(config.scenarios)
+    comparison = Comparison(vehicle_model, options.sea, _start(options) or base, base == SPACE_BASE_AGENT)
     try:
         comparison.scenario  # noqa: B018, it raises
     except ValueError as error:

@@ -16,12 +16,11 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.intervals import check_number
-from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number, sum_of
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle, with_names
 from auv_gym.task.model import PLANE, Model
 from auv_gym.task.observation import Observation
-from auv_gym.task.space import sum_of
 from baselines.control.backstepping import GAINS, tracking_forces
 from baselines.estimation.filter_equations import PLANE_FILTER, FilterModel
 from baselines.estimation.kalman import repeated
