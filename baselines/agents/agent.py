@@ -94,9 +94,8 @@ class Agent:
             raise ValueError("the agent is for {}; the scenario or vehicle is for {}".format(*kinds))
         if in_space:
             steered: Any = vehicle or PAPER.in_space
-            return ResidualPolicy(
-                make_in_space(self.expert, steered), self.network, self.weights, self.authority, self.inputs, precision
-            )
+            expert, network = make_in_space(self.expert, steered), (self.network, self.weights, self.authority)
+            return ResidualPolicy(expert, *network, self.inputs, precision, vehicle=steered)
         known = as_vehicle(vehicle or PAPER_VEHICLE)  # type: ignore[arg-type]
         expert = make_expert(self.expert, vehicle=vehicle if self.whole_model else known)
         ranges = {name.partition("-")[0] for name in self.scenarios}

@@ -14,18 +14,18 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from auv_gym.physics.errors import to_body, to_world
-from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.namespaces import Namespace, Number, sum_of_squares, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.scenarios.presets import TYPICAL_NOISE
 from auv_gym.task.observation import Observation
-from baselines.estimation.sea_model import PLACE, STATE_SIZE, Estimate, measurement, transition
-from baselines.estimation.water_frame import ReferenceMotion, reference_motion
+from baselines.estimation.sea_model import PLACE, PLANE_SEA, STATE_SIZE, Estimate, SeaModel, measurement, transition
+from baselines.estimation.water_frame import reference_motion
 from baselines.policy import CRUISE_SPEED, is_fast
 
 FILTER_GAINS = Path(__file__).with_name("filter_gains.json")
@@ -47,7 +47,8 @@ _QUICK = 15.0  # control periods in which the levels rise to at most 1, so that 
 _DRIFT = 4.0  # [s] decay time of the difference of position fixes and dead reckoning
 _SLOW = 0.5  # [s] time constant of the low-pass on it: noise of a lower frequency has a slow level
 _SLOW_AVERAGE = 15.0  # [s] averaging time of the slow level
-_LARGEST_LEVEL = 20.0
+LARGEST_LEVEL = 20.0
+"""Largest level of the noise."""
 _SETTLED = 50.0
 """Control periods in which the second filter is set to the estimate of the first one, in still water."""
 LARGEST_DISTANCE = (0.05, 0.1, 0.1)
@@ -57,8 +58,8 @@ A larger difference means that the sea is not calm. The second filter is then se
 Without this its estimate could diverge, because its model is unstable in yaw at cruise."""
 MEMORY_ENTRIES = tuple(name for name in Estimate._fields if name != "lag")
 """The entries of an `Estimate` that are in a filter's memory."""
-LARGEST_ESTIMATE = dict.fromkeys(MEMORY_ENTRIES, 1e6) | dict.fromkeys(("u", "v", "r"), 100.0)
-"""Largest magnitude of an entry [SI units]; a filter whose estimate exceeds it is reset.
+LARGEST_ESTIMATE = dict.fromkeys("uvwqr", 100.0)
+"""Largest magnitude of an entry [SI units], 1e6 for all others; a filter whose estimate exceeds it is reset.
 
 With frozen or wrong observations the model may diverge. In six episodes or more of each case of the frozen suites, in
 the filters' units, no velocity exceeded 5 m/s, no yaw rate 3 rad/s and no load 2000 N."""
@@ -148,10 +149,10 @@ def filter_step(
     rows, age, bias = memory[SHARED:], last["age"], (last["b_u"], last["b_v"])
     initial = age <= 0.0
     motion = reference_motion(o, coefficients, ns)
-    step = reference_step(motion, o.dt)
+    step = reference_step((motion.v_x, motion.v_y), (motion.a_x, motion.a_y), o.dt)
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     moved = x_e - last["x_e"] + step[0], y_e - last["y_e"] + step[1]
-    held = (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD) & (age > 0.0)
+    held = is_held(moved, age)
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     du, dv = measured[3] - last["u"], measured[4] - last["v"]
     same = (du * du + dv * dv < _SAME * _SAME) & (age > 0.0)
@@ -159,7 +160,7 @@ def filter_step(
     size = len(MEMORY_ENTRIES)
     earlier = [estimate_of(rows[i * size : (i + 1) * size], lag) for i, lag in enumerate(LAGS)]
     predicted = [transition(z, command, step, o.dt, coefficients, ns) for z in earlier]
-    levels = MeasuredNoise(*(ns.clip(last[name], 0.0, _LARGEST_LEVEL**2) for name in LEVEL_ROWS[:4]))
+    levels = MeasuredNoise(*(ns.clip(last[name], 0.0, LARGEST_LEVEL**2) for name in LEVEL_ROWS[:4]))
     before, after = earlier[0], predicted[0]
     white = _white_levels(before, after, measured, last, (held, same), o, ns)
     level_rows = *white, *_slow_level(before, after, measured, moved, last, held | same, white[-1], o, ns)
@@ -167,12 +168,8 @@ def filter_step(
     estimates: list[Estimate] = []
     for i, ahead in enumerate(predicted):
         z, corrected_bias = _corrected(i, ahead, bias, measured, (held, same), bases[i == BIASED], o, ns)
-        first, diverged = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _diverged(z)
-        new = [ns.where(initial | diverged, a, b) for a, b in zip(first, z, strict=True)]
-        if i == 1:
-            still = [*estimates[0][: PLACE.V_x], *first[PLACE.V_x :]]  # estimate of the first filter, in still water
-            reset = (age < _SETTLED) | _far(estimates[0], z, speed, levels.position, ns) | diverged
-            new = [ns.where(reset, a, b) for a, b in zip(still, new, strict=True)]
+        diverged = is_diverged(z)
+        new = settled(i, z, (initial, diverged), measured, (age, o.dt), estimates, (speed, levels.position), ns)
         if i == BIASED:
             bias = tuple(ns.where(initial | diverged, 0.0 * o.dt, ns.clip(b, -speed, speed)) for b in corrected_bias)
         estimates.append(Estimate._make(new))
@@ -209,11 +206,30 @@ def _white_levels(
     d_x, d_y, d_psi, d_u, d_v = (m - last[n] - c for n, m, c in zip(names, measured, change, strict=False))
     d_psi = wrap_angle(d_psi, ns)
     squares = 0.25 * (d_x * d_x + d_y * d_y), 0.5 * d_psi * d_psi, 0.25 * (d_u * d_u + d_v * d_v)
-    weight = ns.clip(1.0 / ns.clip(age, 1.0, 1e6), dt / _AVERAGE, 1.0)
+    weight = level_share(age, dt, ns)
     weights = ns.where(_gap(held, last), 0.0, weight), weight, ns.where(same, 0.0, weight)
+    before = (last[name] for name in LEVEL_ROWS)
+    return next_levels(before, squares, level_units(is_fast(o.u_R, o.v_R), ns), weights, age, dt, ns)
+
+
+def level_share(age: Number, dt: Number, ns: Namespace) -> Number:
+    """Return the weight of a new measurement in a level after `age` control periods of dt [s]."""
+    return ns.clip(1.0 / ns.clip(age, 1.0, 1e6), dt / _AVERAGE, 1.0)
+
+
+def next_levels(
+    before: Iterable[Number],
+    squares: Sequence[Number],
+    units: Sequence[Number],
+    weights: Sequence[Number],
+    age: Number,
+    dt: Number,
+    ns: Namespace,
+) -> tuple[Number, ...]:
+    """Return the squared levels after measurements whose noise has these squares, each with its weight."""
     found = []
-    for name, square, unit, share in zip(LEVEL_ROWS, squares, _units(o, ns), weights, strict=False):
-        new = last[name] + share * (ns.clip(square / (unit * unit), 0.0, _LARGEST_LEVEL**2) - last[name])
+    for level, square, unit, share in zip(before, squares, units, weights, strict=False):
+        new = level + share * (ns.clip(square / (unit * unit), 0.0, LARGEST_LEVEL**2) - level)
         found.append(ns.where(age <= 0.0, 1.0 + 0.0 * dt, new))
     return tuple(found)
 
@@ -247,7 +263,7 @@ def _slow_level(
         o: the observation.
         ns: the namespace of the numbers.
     """
-    age, dt, (position, _, speed) = last["age"], o.dt, _units(o, ns)
+    age, dt, (position, _, speed) = last["age"], o.dt, level_units(is_fast(o.u_R, o.v_R), ns)
     middle = 0.5 * (earlier.psi + predicted.psi)
     u, v = 0.5 * (measured[3] + last["u"]) - last["b_u"], 0.5 * (measured[4] + last["v"]) - last["b_v"]
     reckoned = to_world(dt * u, dt * v, ns.cos(middle), ns.sin(middle))
@@ -264,7 +280,7 @@ def _slow_level(
     of_position, of_velocity = _gains_of_white_noise(a, 1.0 - w)
     square = square / (w * w) - of_velocity * dt * dt * velocity * speed * speed
     square = square / (of_position * position * position)
-    new = last["slow"] + share * (ns.clip(square, -(_LARGEST_LEVEL**2), _LARGEST_LEVEL**2) - last["slow"])
+    new = last["slow"] + share * (ns.clip(square, -(LARGEST_LEVEL**2), LARGEST_LEVEL**2) - last["slow"])
     slow = ns.where(age <= 0.0, 1.0 + 0.0 * dt, ns.where(skip, last["slow"], new))
     still = ns.where(age <= 0.0, 0.0 * dt, 1.0 + 0.0 * dt)
     return (slow, *(still * row for pair in zip(*rows, strict=True) for row in pair))
@@ -286,9 +302,8 @@ def _gap(unchanged: Any, last: Mapping[str, Number]) -> Any:
     return unchanged | (last["waits"] > 0.5)
 
 
-def _units(o: Observation, ns: Namespace) -> tuple[Number, ...]:
+def level_units(fast: Any, ns: Namespace) -> tuple[Number, ...]:
     """Return the units of the noise levels, see `LEVELS`."""
-    fast = is_fast(o.u_R, o.v_R)
     return tuple(ns.where(fast, cruise, slow) for slow, cruise in zip(LEVELS["slow"], LEVELS["cruise"], strict=True))
 
 
@@ -296,19 +311,38 @@ def _bases(
     levels: MeasuredNoise, age: Number, speed: Number, ns: Namespace
 ) -> tuple[Sequence[Number], Sequence[Number]]:
     """Return the factors of the coefficients of the gains, for fast and then slow errors of the position."""
-    early, share = (age + 1.0) / _QUICK, speed_share(speed)
-    velocity = _hats(ns.clip(_level(levels.velocity, ns), 0.0, early), VELOCITY_LEVELS, ns)
-    result = []
-    for squared in (levels.position, ns.where(levels.slow > levels.position, levels.slow, levels.position)):
-        position = _hats(ns.clip(_level(squared, ns), 0.0, early), POSITION_LEVELS, ns)
-        products = [p * v for p in position for v in velocity]
-        powers = [1.0, share, share * share, share * share * share]
-        result.append([product * power for product in products for power in powers])
-    return result[0], result[1]
+    most, share = most_level(age), speed_share(speed)
+    velocity = weights(levels.velocity, VELOCITY_LEVELS, most, ns)
+    squared = levels.position, ns.where(levels.slow > levels.position, levels.slow, levels.position)
+    fast, slow = (basis(weights(x, POSITION_LEVELS, most, ns), velocity, share) for x in squared)
+    return fast, slow
+
+
+def most_level(age: Number) -> Number:
+    """Return the largest level of the noise for which gains are used after `age` control periods."""
+    return (age + 1.0) / _QUICK
+
+
+def weights(squared: Number, knots: Sequence[float], most: Number, ns: Namespace) -> list[Number]:
+    """Return the weights of the levels `knots` for a squared level of the noise, which is at most `most`."""
+    return _hats(ns.clip(_level(squared, ns), 0.0, most), knots, ns)
+
+
+def basis(position: Sequence[Number], velocity: Sequence[Number], share: Number) -> list[Number]:
+    """Return the factors of the coefficients of the gains, see `gains`.
+
+    Args:
+        position: `weights` of the levels of the noise of the position.
+        velocity: the same of the velocity.
+        share: `speed_share` of the reference.
+    """
+    products = [p * v for p in position for v in velocity]
+    powers = [1.0, share, share * share, share * share * share]
+    return [product * power for product in products for power in powers]
 
 
 def _level(squared: Number, ns: Namespace) -> Number:
-    return ns.sqrt(ns.clip(squared, 1e-4, _LARGEST_LEVEL**2))
+    return ns.sqrt(ns.clip(squared, 1e-4, LARGEST_LEVEL**2))
 
 
 def _hats(level: Number, knots: Sequence[float], ns: Namespace) -> list[Number]:
@@ -319,31 +353,77 @@ def _hats(level: Number, knots: Sequence[float], ns: Namespace) -> list[Number]:
     return [1.0 - up[0], *(a - b for a, b in itertools.pairwise(up)), up[-1]]
 
 
-def _far(a: Estimate, b: Estimate, speed: Number, level: Number, ns: Namespace) -> Any:
+def settled(
+    i: int,
+    z: Any,
+    new: tuple[Any, Any],
+    measured: Sequence[Number],
+    time: tuple[Number, Number],
+    others: Sequence[Any],
+    scale: tuple[Number, Number],
+    ns: Namespace,
+    sea: SeaModel = PLANE_SEA,
+) -> list[Number]:
+    """Return the rows of the estimate of filter i: those of the measurements at the start and where it has diverged.
+
+    The second filter has those of the first one, in still water, where the two estimates are too far from each other.
+
+    Args:
+        i: index of the filter.
+        z: its estimate after the measurements.
+        new: whether an episode begins, and whether the estimate has diverged.
+        measured: the measurements.
+        time: control periods since the start, and control period [s].
+        others: estimates of the filters before.
+        scale: speed of the reference [m/s], and squared level of the noise of the position.
+        ns: the namespace of the numbers.
+        sea: the kind of motion.
+    """
+    (age, dt), (initial, diverged) = time, new
+    first = (*measured, *[0.0 * dt] * (len(z) - len(measured)))
+    rows = [ns.where(initial | diverged, a, b) for a, b in zip(first, z, strict=True)]
+    if i != 1:
+        return rows
+    current = sea.current.start
+    still = [*others[0][:current], *first[current:]]  # estimate of the first filter, in still water
+    reset = (age < _SETTLED) | _far(others[0], z, *scale, ns, sea) | diverged
+    return [ns.where(reset, a, b) for a, b in zip(still, rows, strict=True)]
+
+
+def _far(a: Any, b: Any, speed: Number, level: Number, ns: Namespace, sea: SeaModel) -> Any:
     """Return whether two estimates differ by more than `LARGEST_DISTANCE` times the root of a squared noise level."""
-    base, per_speed, angle = LARGEST_DISTANCE
-    x, y, psi, wide = a.x_e - b.x_e, a.y_e - b.y_e, a.psi - b.psi, ns.sqrt(ns.sqrt(ns.clip(level, 1.0, 1e4)))
+    (base, per_speed, angle), axes, pose = LARGEST_DISTANCE, len(sea.model.position), sea.model.state.index("u")
+    differences = [x - y for x, y in zip(a[:pose], b[:pose], strict=True)]
+    wide = ns.sqrt(ns.sqrt(ns.clip(level, 1.0, 1e4)))
     distance = (base + per_speed * speed) * wide
-    return (x * x + y * y > distance * distance) | (psi * psi > angle * angle)
+    too_far = sum_of_squares(differences[:axes]) > distance * distance
+    return too_far | (sum_of_squares(differences[axes:]) > angle * angle)
 
 
-def _diverged(z: Estimate) -> Any:
+def is_diverged(z: Any) -> Any:
     """Return whether the magnitude of an entry exceeds `LARGEST_ESTIMATE`, or is nan."""
     within: Any = True
-    for name, most in LARGEST_ESTIMATE.items():
-        within = (abs(getattr(z, name)) <= most) & within
+    for name in z._fields:
+        if name != "lag":
+            within = (abs(getattr(z, name)) <= LARGEST_ESTIMATE.get(name, 1e6)) & within
     return within ^ True
 
 
-def reference_step(motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
-    """Return the displacement x, y [m] of the reference in the last control period of dt [s], by its motion now."""
+def is_held(moved: Sequence[Number], age: Number) -> Any:
+    """Return whether there is no new position fix, from the change [m] of the measured x and y in the world."""
+    return (sum_of_squares(moved) < _HELD * _HELD) & (age > 0.0)
+
+
+def reference_step(velocity: Sequence[Number], acceleration: Sequence[Number], dt: Number) -> tuple[Number, ...]:
+    """Return the displacement [m] of the reference in the last control period of dt [s], by its motion now."""
     half = 0.5 * dt * dt
-    return dt * motion.v_x - half * motion.a_x, dt * motion.v_y - half * motion.a_y
+    return tuple(dt * v - half * a for v, a in zip(velocity, acceleration, strict=True))
 
 
-def estimate_of(rows: Sequence[Number], lag: float) -> Estimate:
-    """Return the estimate that the rows `MEMORY_ENTRIES` of a memory hold, for a time constant of the actuators [s]."""
-    return Estimate(**dict(zip(MEMORY_ENTRIES, rows, strict=True)), lag=lag)
+def estimate_of(rows: Sequence[Number], lag: float, kind: Any = Estimate) -> Any:
+    """Return the estimate of which a memory holds all rows but the time constant of the actuators [s]."""
+    place = kind._fields.index("lag")
+    return kind(*rows[:place], lag, *rows[place:])
 
 
 def _corrected(
@@ -375,6 +455,26 @@ def _corrected(
         tuple(b + changes.pop(name) for name, b in zip(BIAS_ROWS, bias, strict=True)) if i == BIASED else tuple(bias)
     )
     return z._replace(**{name: getattr(z, name) + change for name, change in changes.items()}), found
+
+
+def corrections(
+    i: int, side: int, innovations: Sequence[Number], basis: Sequence[Number], fast: Any, ns: Namespace
+) -> list[Number]:
+    """Return the corrections of the entries along (`side` 0) or across the surge axis (1), see `entries_of`.
+
+    Args:
+        i: index of the filter.
+        side: whose gains are used.
+        innovations: measurements minus predicted ones, along or across.
+        basis: factors of the coefficients of the gains, see `basis`.
+        fast: whether the gains are those of cruise.
+        ns: the namespace of the numbers.
+    """
+    result = list[Number]()
+    for slow, cruise in zip(gains("slow")[i][side], gains("cruise")[i][side], strict=True):
+        K = [ns.where(fast, dot(c, basis), dot(s, basis)) for s, c in zip(slow, cruise, strict=True)]
+        result.append(sum(k * e for k, e in zip(K, innovations, strict=True)))
+    return result
 
 
 def dot(coefficients: Sequence[float], basis: Sequence[Number]) -> Number:

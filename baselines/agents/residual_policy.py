@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle, with_names
 from auv_gym.task.policy import Law, Policy, corrected, preview_of, traceable
@@ -31,7 +32,7 @@ _Symbols = Sequence[Symbol]
 def feature_kernel(
     inputs: Inputs | SpaceInputs,
     law: Law | None,
-    vehicle: Vehicle = PAPER_VEHICLE,
+    vehicle: Vehicle | SpaceVehicle = PAPER_VEHICLE,
     units: Units = Units(),  # noqa: B008, it is frozen
 ) -> Kernel:
     """Return the kernel that computes the features from an observation and its preview, `ahead`.
@@ -47,7 +48,8 @@ def feature_kernel(
     """
     layout = inputs.model.layout
     factors = () if units == Units() else shown_factors(units, layout)
-    model, channels = with_names(vehicle.all_coefficients), len(inputs.model.channels)
+    row: Any = vehicle.all_coefficients
+    row, channels = row if isinstance(inputs, SpaceInputs) else with_names(row), len(inputs.model.channels)
 
     def equation(
         observation: _Symbols, ahead: _Symbols, correction: _Symbols, integrals: _Symbols, base: _Symbols = ()
@@ -58,7 +60,7 @@ def feature_kernel(
             ahead = [distance * (1 / units.length) for distance in ahead]
         if law is not None:
             base = [single(a) for a in layout.action_of(law.forces(o, SYMBOLS), o, SYMBOLS)]  # as in `Law.predict`
-        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, model)
+        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, row)
         return {"terms": o, "features": features, "integrals": sums, "base": base}
 
     rows = {"observation": layout.size, "ahead": layout.axes * len(inputs.preview)}
@@ -110,7 +112,7 @@ class ResidualPolicy(Batched):
         inputs: Inputs | SpaceInputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = ALL_SPEEDS,
-        vehicle: Vehicle = PAPER_VEHICLE,
+        vehicle: Vehicle | SpaceVehicle = PAPER_VEHICLE,
     ) -> None:
         """Make the policy.
 
@@ -132,7 +134,8 @@ class ResidualPolicy(Batched):
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
-        self._vehicle = vehicle if inputs.nominal_vehicle else PAPER_VEHICLE  # else all vehicles share one kernel
+        uses = inputs.nominal_vehicle or isinstance(vehicle, SpaceVehicle)
+        self._vehicle = vehicle if uses else PAPER_VEHICLE  # else all vehicles share one kernel
         self._buffers: tuple[int, _Buffers] | None = None
         self._buffers_for(1)  # compiles the kernels before the first action
 

@@ -1,4 +1,4 @@
-"""Features of a network in space, as `baselines.agents.features` in the plane, without estimates of filters."""
+"""Features of a network in space, as `baselines.agents.features` in the plane."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.scenarios.vehicles import PAPER
 from auv_gym.task.model import Model
 from auv_gym.task.preview import checked_preview
 from auv_gym.task.space import SPACE, Observation, in_body_frame, in_world
+from baselines.agents import space_filters
 from baselines.agents.features import FAST, LARGEST_FEATURE, SLOW, Feature, fine
+from baselines.agents.space_filters import FilterOutput, MeasuredNoise, estimated_errors
 from baselines.space.backstepping import squared, wanted
 
 _LARGEST_ERROR = 4.0  # largest position error that is integrated, in units of U * 1 s
@@ -51,6 +54,29 @@ _FINE = (
     *_each((f"e_{a}8_m" for a in _AXES), "m", "0.0625 m", "position error on a fixed scale"),
     *_each((f"{f.name}_fine" for f in _ERRORS), "1", "fine", "an error, see `baselines.agents.features.fine`"),
 )
+LOADS: tuple[str, ...] = tuple(name for name in space_filters.MEMORY_ENTRIES if name[0] in "XYZMN")
+"""Entries of a filter's estimate that are loads on the vehicle."""
+_LIMITS = {"X": "F_u", "Y": "F_u", "Z": "F_u", "M": "F_q", "N": "F_r"}  # the limit by which a load is scaled
+
+
+def _filter_features(prefix: str, sea: str) -> Iterable[Feature]:
+    """Return the features of one filter."""
+    what = f"filter for a {sea} sea: "
+    for f in (*_FINE, *_ERRORS[3:8]):
+        yield f._replace(name=prefix + f.name, meaning=what + f.meaning.removeprefix("measured "))
+    yield from _each((f"{prefix}V_{a}" for a in _AXES), "m/s", "0.25 U", f"{what}current along a body axis")
+    yield from _each((f"{prefix}F_{c}" for c in _CHANNELS), "N, N m", "the limit", f"{what}force of an actuator")
+    for name in LOADS:
+        unit = "N" if name[0] in "XYZ" else "N m"
+        yield Feature(prefix + name, unit, f"0.0625 {_LIMITS[name[0]]}_max", f"{what}load {name}")
+
+
+_FILTERED = (
+    Feature("held", "1", "1", "1 where there is no new position fix"),
+    *_each((f"noise_{name}" for name in MeasuredNoise._fields), "1", "log(x) / 4", "squared level of the noise"),
+    *_filter_features("rough_", "rough"),
+    *_filter_features("calm_", "calm"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,17 +88,26 @@ class SpaceInputs:
     """
 
     model: ClassVar[Model] = SPACE
-    filters: ClassVar[bool] = False
     nominal_vehicle: ClassVar[bool] = False
-    memory: ClassVar[int] = INTEGRALS
-    constants: ClassVar[range] = range(0)
     preview: tuple[int, ...] = ()  # control periods ahead
     fine: bool = False  # include the errors on finer scales
+    filters: bool = False  # include the estimates of `space_filters.filter_step`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preview", checked_preview(self.preview))
-        if not isinstance(self.fine, bool):
-            raise ValueError(f"fine is {self.fine!r}; it must be true or false")
+        for name in ("fine", "filters"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise ValueError(f"{name} is {value!r}; it must be true or false")
+
+    @property
+    def memory(self) -> int:
+        """Number of rows of the memory."""
+        return INTEGRALS + (space_filters.ROWS if self.filters else 0)
+
+    @property
+    def constants(self) -> range:
+        """Rows of the memory that count as constants in derivatives."""
+        return range(INTEGRALS, INTEGRALS + (space_filters.CONSTANT if self.filters else 0))
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -82,7 +117,7 @@ class SpaceInputs:
             for n in self.preview
             for feature in _each((f"ahead_{n}_{a}" for a in _AXES), "m", f"0.25 U * {n} dt", "the reference ahead")
         )
-        return (*_ERRORS, *_OTHERS, *ahead, *(_FINE if self.fine else ()))
+        return (*_ERRORS, *_OTHERS, *ahead, *(_FINE if self.fine else ()), *(_FILTERED if self.filters else ()))
 
     def update(
         self,
@@ -92,11 +127,11 @@ class SpaceInputs:
         correction: Iterable[Number],
         memory: Iterable[Number],
         ns: Namespace,
-        coefficients: Any = None,
+        coefficients: Sequence[Number] = PAPER.in_space.all_coefficients,
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Return the features, one row for each, and the new memory; arguments as `Inputs.update`, in space."""
-        del coefficients
-        seen, sums = Observation._make(o), tuple(memory)
+        seen, before = Observation._make(o), tuple(memory)
+        sums, rest = before[:INTEGRALS], before[INTEGRALS:]
         U = ns.sqrt(squared(wanted(seen), ns))
         per_U = 1 / U
         e = tuple(x * per_U for x in o[:3])
@@ -122,6 +157,37 @@ class SpaceInputs:
             scale = per_U / (periods * seen.dt)
             rows += [4 * (x * scale - 1), 4 * y * scale, 4 * z * scale]
         if self.fine:
-            scaled = (*e, *angles, *(x * per_U for x in velocities), *rates)
-            rows += [*(8 * x for x in e), *(16 * x for x in o[:3]), *(fine(x, ns) for x in scaled)]
-        return tuple(ns.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE) for row in rows), (*fast, *slow)
+            rows += _fine(o[:3], angles, velocities, rates, per_U, ns)
+        if self.filters:
+            output, rest = space_filters.filter_step(seen, U, rest, ns, coefficients)
+            rows += _filter_rows(output, seen, per_U, ns)
+        return tuple(ns.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE) for row in rows), (*fast, *slow, *rest)
+
+
+def _fine(
+    position: Sequence[Number],
+    angles: Sequence[Number],
+    velocities: Sequence[Number],
+    rates: Sequence[Number],
+    per_U: Number,
+    ns: Namespace,
+) -> list[Number]:
+    """Return the rows of `_FINE` for tracking errors in SI units."""
+    e, relative = [x * per_U for x in position], (x * per_U for x in velocities)
+    return [*(8 * x for x in e), *(16 * x for x in position), *(fine(x, ns) for x in (*e, *angles, *relative, *rates))]
+
+
+def _filter_rows(output: FilterOutput, o: Observation, per_U: Number, ns: Namespace) -> list[Number]:
+    """Return the rows of `_FILTERED`."""
+    rows = [output.held, *(0.25 * ns.log(ns.clip(level, 1e-4, 1e4)) for level in output.levels)]
+    limits = {"F_u": o.F_u_max, "F_q": o.F_q_max, "F_r": o.F_r_max}
+    for z in output.estimates:
+        e, angles, velocities, rates = estimated_errors(z, output, o, ns)
+        current = in_body_frame((z.V_x, z.V_y, z.V_z), o)
+        rows += [
+            *_fine(e, angles, velocities, rates, per_U, ns),
+            *(2 * x for x in angles), *(2 * x * per_U for x in velocities), *(4 * V * per_U for V in current),
+            *(getattr(z, name) / most for name, most in limits.items()),
+            *(16 * getattr(z, name) / limits[_LIMITS[name[0]]] for name in LOADS),
+        ]  # fmt: skip
+    return rows

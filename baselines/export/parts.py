@@ -151,7 +151,7 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
     if not traceable(expert):
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} must be a law without memory")
     record, units = read_json(folder / AGENT_FILE), Units.of(plane)
-    see = feature_kernel(agent.inputs, cast(Law, expert), PAPER_VEHICLE if in_space else scaled, units)
+    see = feature_kernel(agent.inputs, cast(Law, expert), scaled, units)
     network = network_program(agent)
     factors = [1]
     for preset in presets.values():

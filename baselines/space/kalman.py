@@ -57,9 +57,9 @@ def reference_motion(o: Observation, row: Sequence[Number], ns: Namespace) -> tu
     )
 
 
-def _measurements(o: Observation, _: Any) -> list[Number]:
+def measured_motion(o: Observation, ns: Namespace) -> list[Number]:
     """Return the measurements: position error in the world, theta, psi, velocities over ground, q, r."""
-    angles = SYMBOLS.arctan2(o.sin_theta, o.cos_theta), SYMBOLS.arctan2(o.sin_psi, o.cos_psi)
+    angles = ns.arctan2(o.sin_theta, o.cos_theta), ns.arctan2(o.sin_psi, o.cos_psi)
     wanted, errors = (o.u_R, o.v_R, o.w_R, o.q_R, o.r_R), (o.u_e, o.v_e, o.w_e, o.q_e, o.r_e)
     return [*in_world((o.e_x, o.e_y, o.e_z), o), *angles, *(a + b for a, b in zip(wanted, errors, strict=True))]
 
@@ -76,7 +76,7 @@ SPACE_FILTER = FilterModel(
     sea=SPACE_SEA,
     units=_units,
     reference=reference_motion,
-    measured=_measurements,
+    measured=lambda o, _: measured_motion(o, SYMBOLS),
     first_noise=(0.05, 0.05, 0.02, 0.015, 0.015, 0.02, 0.02, 0.02, 0.005, 0.005),
     least_noise=(1e-4, 1e-4, 1e-4, *(3e-5,) * 7),
     alike=((_P.x_e, _P.y_e), (_P.theta, _P.psi), (_P.u, _P.v, _P.w), (_P.q, _P.r)),

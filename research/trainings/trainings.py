@@ -108,6 +108,7 @@ IN_SPACE: Mapping[str, Any] = {
     "effort_weight": 0.0012,
     "rate_weight": RATE_PRICE["space"],
     "fine": True,
+    "filters": True,
     "learning_rate": 0.002,
     "matrix_learning_rate": 0.013,
     "validations": 4,
@@ -129,7 +130,7 @@ SHIPPED_TRAININGS = {
     "helm": training("apg", "helm", (1.0,), NO_EXPERT, 38_000_000, {**HELM, "restart": 0.63}),
     "helm-any": training("apg", "helm", timesteps=80_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL_AGENT),
-    "helm-3d": training("apg", "space", (1.0,), None, 12_000_000, IN_SPACE),
+    "helm-3d": training("apg", "space", (1.0,), None, 24_000_000, {**IN_SPACE, "restart": 0.63}),
     "ppo-cruise": training("ppo", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000, WIDE),
     "ppo-slow": training("ppo", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000, WIDE),
 }
@@ -146,6 +147,7 @@ class SeedTraining(NamedTuple):
 
 SEED_TRAININGS: Mapping[str, SeedTraining] = {
     "helm": SeedTraining(SHIPPED_TRAININGS["helm"], 3),
+    "helm-any": SeedTraining(SHIPPED_TRAININGS["helm-any"], 3, ("benchmark-v3", "vehicles-v3")),
     "helm-3d": SeedTraining(SHIPPED_TRAININGS["helm-3d"], 3, ("space-v1",)),
 }
 """The trainings of the study, by name."""

@@ -62,7 +62,8 @@ def test_the_readme_has_the_results_in_space():
     rows = {row[0].strip("`"): row for row in suite_page.cell_rows(results)}
     ratio, failed = (suite_page.headline(results)[key] for key in ("ratio", "failed"))
     assert f"`helm-3d` has {ratio} times the error of the best controller" in text
-    assert failed == "0 (best controllers: 0) of 1024"
+    assert failed == "2 (best controllers: 0) of 1024"
+    assert "fails in 2 of 1024 episodes" in text
     assert rows["space-storm"][1] == "`nmpc`"
     assert f"in storms it has {rows['space-storm'][4]} times the error of `nmpc`" in text
     assert [p for p in results.policies if p != "clairvoyant" and not results.errors(p)] == []

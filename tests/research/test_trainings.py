@@ -41,7 +41,7 @@ def test_results_of_seeds_by_hand():
 
 
 def test_every_training_is_recorded_with_its_seeds():
-    seeds = {"benchmark-v3": {}, "space-v1": {}}
+    seeds = {"benchmark-v3": {}, "space-v1": {}, "vehicles-v3": {}}
     for name, entry in SEED_TRAININGS.items():
         for suite in entry.suites:
             seeds[suite][name] = entry.seeds

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple, cast
 
 from auv_gym.effects.mismatch import CrossFlow
 from auv_gym.physics.namespaces import Namespace, Number, sum_of_squares
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, PARAMETER_NAMES, Coefficients, with_names
+from auv_gym.scenarios.vehicles import PAPER
 from auv_gym.task import simulation
 from auv_gym.task.observation import PLANE_LAYOUT
 from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
@@ -85,6 +87,7 @@ class ClosedLoop:
     inputs: Inputs | SpaceInputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation
     informed: Backstepping | None = None  # the expert, if the nominal models of the vehicles differ
+    in_space: SpaceVehicle = PAPER.in_space  # nominal vehicle of motion in space, the same for all
 
     def expert(
         self, observation: _Rows, ns: Namespace, known: _Rows = PAPER_VEHICLE.coefficients
@@ -116,9 +119,10 @@ class ClosedLoop:
             known: the nominal models, `known_rows` of them.
         """
         model = self.parts.model
+        row: Any = self.in_space.all_coefficients if isinstance(self.inputs, SpaceInputs) else with_names(known)
         o = model.Observation._make(model.layout.decode(observation, ns))
         preview = preview_columns(ahead, o, ns, self.parts.bound_factor, model)
-        return self.inputs.update(o, preview, base, correction, integrals, ns, with_names(known))
+        return self.inputs.update(o, preview, base, correction, integrals, ns, row)
 
     def move(
         self,

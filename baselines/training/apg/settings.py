@@ -94,7 +94,7 @@ class Settings:
     def inputs(self) -> Inputs | SpaceInputs:
         """The inputs of the network."""
         if self.space:
-            return SpaceInputs(self.preview, self.fine)
+            return SpaceInputs(self.preview, self.fine, self.filters)
         return Inputs(self.preview, self.integrals, self.fine, self.filters, self.nominal_vehicle)
 
     @property
@@ -156,8 +156,8 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     settings = replace(settings, space=config.scenarios[0][0].vertical is not None)
-    if settings.space and (settings.filters or settings.nominal_vehicle):
-        raise ValueError("there are no filters and no nominal vehicles in space: leave out filters, nominal_vehicle")
+    if settings.space and settings.nominal_vehicle:
+        raise ValueError("there are no nominal vehicles in space: leave out nominal_vehicle")
     config.env_scenarios(settings.n_envs)
     if settings.drawn_share and not settings.nominal_vehicle:
         raise ValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from auv_gym.effects.space import MAX_PITCH
 from auv_gym.envs.sub_environments import ReadyEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import Array
+from auv_gym.physics.space import SpaceVehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import shared_preview, with_preview
@@ -127,7 +128,10 @@ class VehicleGroup:
     def _window(self) -> TrainingWindow:
         law, exact = law_of(self.expert)
         informed = self.expert if self._members.misinformed and isinstance(self.expert, Backstepping) else None
-        kernels = LoopKernels(ClosedLoop(law, self._settings.inputs, self.sub_envs.parts, informed), exact)
+        loop = ClosedLoop(law, self._settings.inputs, self.sub_envs.parts, informed)
+        if isinstance(known := self._config.known, SpaceVehicle):
+            loop = replace(loop, in_space=known)
+        kernels = LoopKernels(loop, exact)
         network, steps = torch_network(self._settings.network), self._settings.n_steps
         return TrainingWindow(kernels, network, steps, self._config.authority, self._members.objective)
 
