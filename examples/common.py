@@ -19,9 +19,9 @@ def steps(usual: int, quick: int) -> int:
     return quick if QUICK else usual
 
 
-def steady_error(policy: str, scenario: str = "cruise-calm") -> float:
-    """Return the steady-state RMSE [m] of a policy, a name or a path, from `evaluate.py`."""
-    words = ["--policy", policy, "--scenario", scenario, "--episodes", "2", "--jobs", "1", "--out", "scored"]
+def steady_error(policy: str, scenario: str = "cruise-calm", *others: str) -> float:
+    """Return the steady-state RMSE [m] of a policy, a name or a path, from `evaluate.py` with other options."""
+    words = ["--policy", policy, "--scenario", scenario, "--episodes", "2", "--jobs", "1", "--out", "scored", *others]
     subprocess.run([sys.executable, str(ROOT / "evaluate.py"), *words], check=True, stdout=subprocess.DEVNULL)
     results = json.loads(Path("scored", "results.json").read_text(encoding="utf-8"))["results"]
     error: float = next(r for r in results if r["policy"] == policy)["steady_rmse_m"]["mean"]

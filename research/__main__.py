@@ -15,6 +15,7 @@ RESEARCH_COMMANDS = {
     "model-error": Command("research.robustness.model_error", "eval"),
     "pages": Command("research.pages", "eval"),
     "paper": Command("research.paper.command", "eval"),
+    "plant": Command("research.transfer.program", "eval"),
     "speed": Command("research.speed", "eval"),
     "suites": Command("research.suites.command", "eval"),
     "train-all": Command("research.trainings.command", "train"),

@@ -17,7 +17,7 @@ from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
-from baselines.agents.names import COMMAND, PolicyName
+from baselines.agents.names import PolicyName
 from baselines.agents.onnx_models import OnnxModel
 from baselines.agents.programs import ProgramPolicy
 from baselines.agents.sb3_models import load_model, statistics_file
@@ -27,6 +27,7 @@ from baselines.scaling import scaled_for
 from baselines.space import make_in_space
 from baselines.tools.command_line import described
 from baselines.tools.files import read_bytes, read_json
+from baselines.tools.programs import COMMAND
 
 
 def caution(name: str) -> str | None:

@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from baselines.tools.programs import COMMAND
+
 SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 """Folder of the agents that ship with the package, one folder each."""
 AGENT_FOLDER = "agent"  # folder of the trained agent in the folder of a run
 GUARD = ":guard"
 """Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
 name of the fallback may follow."""
-COMMAND = "cmd:"
-"""Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
-
 _KINDS = {".onnx": "onnx", ".zip": "sb3", ".json": "gains"}
 """Kinds of files by suffix."""
 

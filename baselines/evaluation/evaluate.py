@@ -72,7 +72,8 @@ def run_request(request: Request) -> list[Run]:
         return None
 
     done = []
-    for run in shown(runs(request.pairs, request.workers, options.step_limit, finished), len(request.pairs)):
+    found = runs(request.pairs, request.workers, options.step_limit, finished, request.plant)
+    for run in shown(found, len(request.pairs)):
         if run.measures is not None:
             ResultFile((run,)).write(folder / f"{run.key}.npz")
         done.append(run)

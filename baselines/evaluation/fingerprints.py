@@ -32,8 +32,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Law, Policy, traceable
 from baselines.agents.agent import AGENT_FILE, WEIGHTS, WHOLE_MODEL
-from baselines.agents.names import COMMAND, PolicyName
-from baselines.agents.programs import files_of
+from baselines.agents.names import PolicyName
 from baselines.agents.sb3_models import statistics_file
 from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT, OpenLoop
@@ -45,6 +44,7 @@ from baselines.policies import make_policy
 from baselines.policy import BySpeed, Remembering
 from baselines.scaling import ScaledPolicy
 from baselines.space.open_loop import SpaceOpenLoop
+from baselines.tools.programs import COMMAND, files_of
 
 BASELINES = Path(__file__).parents[1]  # folder of the package
 POLICY_CODE = ("agents", "control", "estimation")
@@ -84,11 +84,12 @@ def fingerprint(policy: str, scenarios: Sequence[Scenario] = ()) -> str:
     return f"{_hash(' '.join(kernels))[:20]}.{data[:20]}.{code}"
 
 
-def simulator_fingerprint(scenarios: Iterable[Scenario]) -> str:
-    """Return the fingerprint of the simulation of some scenarios and of the metrics."""
+def simulator_fingerprint(scenarios: Iterable[Scenario], plant: str | None = None) -> str:
+    """Return the fingerprint of the simulation of some scenarios, with the command of a plant, and of the metrics."""
     parts = {scenario.parts: scenario for scenario in scenarios}
     kernels = {digest for scenario in parts.values() for digest in _simulation(scenario)}
     own = sorted({source_of(effect) for used in parts for effect in used.effects if effect not in PACKAGE})
+    own += [_hash(part) for part in _program(plant)] if plant else []
     sources = " ".join((*sorted(kernels), planning.planning_digest(), exogenous.digest(), *own))
     return f"{_hash(sources)[:20]}.{code_fingerprint(*MEASURES)}"
 
@@ -121,8 +122,7 @@ def _data(name: PolicyName, in_space: bool = False) -> list[str | bytes]:
     base, kind = name.base, name.kind
     try:
         if kind == "program":
-            words = shlex.split(base.removeprefix(COMMAND))
-            return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
+            return _program(base.removeprefix(COMMAND))
         if kind == "python":
             return [file.read_bytes() for file in _with_neighbours(Path(base.rpartition(":")[0]))]
         if kind in ("onnx", "sb3", "gains"):
@@ -139,6 +139,12 @@ def _data(name: PolicyName, in_space: bool = False) -> list[str | bytes]:
     except OSError:
         pass
     return []
+
+
+def _program(command: str) -> list[str | bytes]:
+    """Return the words of a command, and the files that they name."""
+    words = shlex.split(command)
+    return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
 
 
 def _used(policy: str, data: str, scenario: Scenario) -> tuple[frozenset[str], bool]:

@@ -38,6 +38,9 @@ class Options:
     """Least radius of the corners of the mission in m. Default: that of the vehicle's turn rate."""
     current: Annotated[tuple[float, float], arg(metavar="V_X V_Y", help_behavior_hint="")] = (0.0, 0.0)
     """Current of the mission in m/s, to the east and to the north."""
+    plant: Annotated[str | None, arg(metavar="P", help_behavior_hint="")] = None
+    """Another simulator that moves the vehicles: "cmd:COMMAND", a program in any language that reads commands and
+    writes states line by line, see docs/plants.md. Results of a suite are then not compared with recorded ones."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
     """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None

@@ -24,6 +24,7 @@ from baselines.agents.names import PolicyName
 from baselines.evaluation.cells import Cell
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures, Track
+from baselines.evaluation.plants import PlantCommand
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 from baselines.policies import make_policy
 from baselines.tools.command_line import described, printable
@@ -81,10 +82,10 @@ class Run:
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:20]
 
     @classmethod
-    def planned(cls, policy: str, cell: Cell) -> Run:
+    def planned(cls, policy: str, cell: Cell, plant: PlantCommand | None = None) -> Run:
         """Return a run without results, with the present fingerprints."""
         scenarios = [cell.scenario]
-        prints = fingerprint(policy, scenarios), simulator_fingerprint(scenarios)
+        prints = fingerprint(policy, scenarios), simulator_fingerprint(scenarios, plant and plant.command)
         return cls(policy, cell.scenario, cell.hash, fingerprint=prints[0], simulator=prints[1])
 
 
@@ -96,7 +97,13 @@ class Part(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def part_of(policy: str, scenario: Scenario, episodes: Sequence[Episode], step_limit: float = STEP_LIMIT) -> Part:
+def part_of(
+    policy: str,
+    scenario: Scenario,
+    episodes: Sequence[Episode],
+    step_limit: float = STEP_LIMIT,
+    plant: PlantCommand | None = None,
+) -> Part:
     """Return the results of a policy in some episodes; an exception of the policy becomes the `error`.
 
     Each call makes its own policy, so that no result depends on the earlier calls in a worker process.
@@ -105,7 +112,8 @@ def part_of(policy: str, scenario: Scenario, episodes: Sequence[Episode], step_l
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            result = rollout(make_policy(policy, scenario.known), scenario, episodes, step_limit)
+            simulator = plant and plant.simulator(scenario, episodes)
+            result = rollout(make_policy(policy, scenario.known), scenario, episodes, step_limit, simulator)
         except KeyboardInterrupt:
             raise
         except BaseException as exception:  # noqa: BLE001, other policies must still run
@@ -133,6 +141,7 @@ def runs(
     workers: Workers = Workers(),  # noqa: B008, it is frozen
     step_limit: float = STEP_LIMIT,
     finished: Callable[[str], Run | None] = lambda _: None,
+    plant: PlantCommand | None = None,
 ) -> Iterator[Run]:
     """Yield the run of each policy in its cell, in the order of completion.
 
@@ -142,16 +151,17 @@ def runs(
         step_limit: largest mean time of a decision [s].
         finished: returns the finished run of a key, or None. A run whose decisions took longer than the limit is not
             used.
+        plant: the program that moves the vehicles; None: the equations of motion.
     """
-    planned = [Run.planned(policy, cell) for policy, cell in pairs]
+    planned = [Run.planned(policy, cell, plant) for policy, cell in pairs]
     tasks: list[tuple[Any, ...]] = []
     for i, ((policy, cell), plan) in enumerate(zip(pairs, planned, strict=True)):
         run = finished(plan.key)
         if run is not None and run.slowest_decision <= step_limit:
             yield replace(run, known=True)
             continue
-        chunks = enumerate(_chunks(cell.episodes))
-        tasks += [((i, j), policy, cell.scenario, chunk, step_limit) for j, chunk in chunks]
+        chunks = enumerate(_chunks(cell.episodes, plant.most if plant else MOST_PARALLEL))
+        tasks += [((i, j), policy, cell.scenario, chunk, step_limit, plant) for j, chunk in chunks]
     missing = Counter(i for (i, _), *_ in tasks)
     parts: dict[int, dict[int, Part]] = {}
     for (i, j), part in workers.results(_numbered, tasks):
@@ -168,9 +178,9 @@ def run_all(policies: Sequence[str], cells: Sequence[Cell], step_limit: float = 
     return list(runs([(policy, cell) for cell in cells for policy in policies], step_limit=step_limit))
 
 
-def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
-    """Return the episodes in equal parts of at most `MOST_PARALLEL`."""
-    bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / MOST_PARALLEL) + 1).astype(int).tolist()
+def _chunks(episodes: Sequence[Episode], most: int) -> list[Sequence[Episode]]:
+    """Return the episodes in equal parts of at most `most`."""
+    bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / most) + 1).astype(int).tolist()
     return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
 
 

@@ -21,12 +21,13 @@ from auv_gym.task.policy import preview_of
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.fingerprints import code_fingerprint
 from baselines.evaluation.metrics import resamplings
+from baselines.evaluation.plants import moved_by
 from baselines.evaluation.rollout import EpisodeLog, beginning, play
 from baselines.evaluation.score import cap_of, capped, count_failures
 from baselines.policies import make_policy
 from research.seeds import TRANSFER
 from research.study import Study, stamp
-from research.transfer.simulators import IN_SPACE, SIX_DOF_MODELS, SixDofSimulator, bodies
+from research.transfer.simulators import IN_SPACE, SIX_DOF_MODELS, SixDofSimulator
 from research.transfer.six_dof import SpatialMotion
 from research.transfer.trials import steady_motion
 
@@ -77,7 +78,7 @@ def _measure(vehicle: str, policy: str, speed_range: str = _IN_PLANE, quick: boo
     known = scenario.vertical.vehicle(scenario) if scenario.vertical else scenario.vehicle
     made, space = make_policy(policy, known), SixDofSimulator(vehicle, count, part.models)
     rows: dict[str, dict[str, Any]] = {case: {} for case in part.cases}
-    for place, simulator in zip(part.places, (None, bodies(lambda _: space, known)), strict=True):
+    for place, simulator in zip(part.places, (None, moved_by(lambda _: space)), strict=True):
         log, roll = EpisodeLog(scenario.steps, count, len(scenario.parts.model.channels)), np.zeros(count)
         begun = beginning([(cell.scenario, cell.episodes) for cell in cells], preview_of(made), simulator=simulator)
         for k, moment in enumerate(play(made, begun, scenario.steps)):
@@ -107,7 +108,7 @@ def transfer_cells(vehicle: str, episodes: int, speed_range: str = _IN_PLANE) ->
 
 
 def _stamp(vehicle: str, policy: str, speed_range: str = _IN_PLANE) -> str:
-    code = code_fingerprint(Path(__file__).parent)
+    code = code_fingerprint(Path(__file__).parent, "evaluation/plants.py")
     if policy == _TRIALS:
         return code
     return stamp(policy, _scenarios(vehicle, speed_range), code, _EPISODES)

@@ -1,12 +1,9 @@
-"""A simulator of vehicles with six degrees of freedom, in place of the planar equations of motion of the environments.
-
-Only the dynamics differ: commanded forces, delays, current, waves, sensors and task are those of `simulation.step`.
-"""
+"""A simulator of vehicles with six degrees of freedom, a `Plant` in place of the equations of motion."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -14,13 +11,11 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
-from auv_gym.physics.space import SpaceCoefficients, SpaceVehicle, axes
-from auv_gym.physics.vehicle import Vehicle
+from auv_gym.physics.namespaces import Array
+from auv_gym.physics.space import SpaceCoefficients, axes
 from auv_gym.scenarios.vehicles import vehicle_model
-from auv_gym.task.kernels import OUTCOMES, MakeSimulator, Outcome, Side
-from auv_gym.task.simulation import Force, Parts, State, current_at, ordered, plant_row, step
 from auv_gym.task.space import SPACE
+from baselines.evaluation.plants import input_names
 from research.transfer.otter import OTTER, Otter
 from research.transfer.remus100 import REMUS100, Remus100, SpaceRemus100
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, ModelInputs
@@ -30,8 +25,8 @@ SIX_DOF_MODELS: Mapping[str, Remus100 | Otter] = {model.name: model for model in
 """The models by the names of their vehicles."""
 IN_SPACE: Mapping[str, Remus100 | Otter] = {"remus100": SpaceRemus100()}
 """The models for scenarios in space."""
-_IN_NED = np.array([1.0 if name in ("F_u", "V_x", "X") else -1.0 for name in ModelInputs._fields])[:, None]
-"""Signs of inputs in the axes of `physics.space` that are to be in north-east-down axes, see `to_ned`."""
+_SAME_IN_NED = ("F_u", "V_x", "X")
+"""Inputs in the axes of `physics.space` whose sign is the same in north-east-down axes, see `to_ned`."""
 
 
 @cache
@@ -82,9 +77,12 @@ class SixDofSimulator:
             allowed = ", ".join(models)
             raise ValueError(f"{vehicle!r} is no vehicle with six degrees of freedom; allowed are {allowed}")
         self._model, known = models[vehicle], vehicle_model(vehicle).vehicle
-        self._eps = known.eps
-        motion = self._model.motion
-        self._signs = _IN_NED if motion is SPACE else 1.0
+        self._eps, motion = known.eps, self._model.motion
+        self._known = vehicle_model(vehicle).in_space if motion is SPACE else known
+        names = input_names(motion)
+        self._order = [ModelInputs._fields.index(name) for name in names]
+        kept = names if motion is not SPACE else _SAME_IN_NED
+        self._signs = np.array([[1.0 if name in kept else -1.0] for name in names])
         rows = {"inputs": len(ModelInputs._fields), "deviation": len(Deviation._fields)}
         rows |= {"level": len(motion.state), "forces": len(motion.channels)}
         rows |= dict.fromkeys(("began", "rows", "rates"), self._model.size)
@@ -97,24 +95,25 @@ class SixDofSimulator:
         """States of the vehicles, shape (size, N)."""
         return self._arrays["began"]
 
-    def place(self, indices: Any, states: Array, deviations: Array) -> None:
+    def place(self, indices: Any, states: Array, true: Any = None) -> None:
         """Set the states of n of the vehicles, with all other states in equilibrium.
 
         Args:
             indices: index of the vehicles.
             states: x, y, psi, u, v, r, shape (6, n), or in space shape (10, n).
-            deviations: rows of a `six_dof.Deviation`, shape (10, n).
+            true: coefficients of the vehicles, see `deviation`; None: as published.
         """
         self.rows[:, indices] = self._model.placed(_of_point(states, -self._eps))
-        self._arrays["deviation"][:, indices] = deviations
+        rows = AS_PUBLISHED if true is None else deviation(true, self._known.coefficients)
+        self._arrays["deviation"][:, indices] = [np.broadcast_to(x, states.shape[1]) for x in rows]
 
     def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
-        """Advance by dt [s] with the rows of `six_dof.ModelInputs`, shape (11, N).
+        """Advance by dt [s] with rows of `plants.input_names`.
 
         Returns:
             The states, see `place`, and F_u [N], F_r [N m] of the actuators, shape (2, N); in space F_u, F_q, F_r.
         """
-        self._arrays["inputs"][:] = inputs * self._signs
+        self._arrays["inputs"][self._order] = inputs * self._signs
         steps = math.ceil(dt / _STEP - 1e-9)
         h = dt / steps
         for _ in range(steps):  # classical Runge-Kutta steps
@@ -145,76 +144,3 @@ def deviation(true: Any, known: Any) -> Deviation:
     pairs = (true.X_uu, known.X_uu), (true.Y_vv, known.Y_vv), (true.N_rr, known.N_rr)
     quadratic = (own - factor * usual for (own, usual), factor in zip(pairs, drag, strict=True))
     return Deviation(true.m11 / known.m11, true.m22 / known.m22, true.m33 / known.m33, d_u, d_v, d_r, *quadratic)
-
-
-class SimulatorBodies:
-    """N vehicles of another simulator with the interface `kernels.Simulator`.
-
-    The actuator lag of an episode is ignored: the other simulator has its own.
-
-    Args:
-        simulator: the vehicles, with `place` and `advance` as `SixDofSimulator`.
-        known: the known model of the vehicle.
-        parts: optional parts of the simulation that are in use.
-        samples: array for the rows of `simulation.Sample`, shape (T, `Parts.sample_rows`, N).
-        parameters: array for the rows of `simulation.Parameters`, shape (`Parts.parameter_rows`, N).
-    """
-
-    def __init__(
-        self, simulator: SixDofSimulator, known: Vehicle | SpaceVehicle, parts: Parts, samples: Array, parameters: Array
-    ) -> None:
-        n = samples.shape[-1]
-        self.parts, self.action, self.outcome = parts, np.zeros((len(parts.model.channels), n)), np.zeros((OUTCOMES, n))
-        self.now = Side(np.zeros((parts.plant_rows, n)), np.zeros((parts.model.layout.size, n)))
-        self._known, self._samples, self._rows, self._simulator = known, samples, parameters, simulator
-
-    @property
-    def plant(self) -> Any:
-        """The present state of the plant: rows of shape (N,)."""
-        return self.parts.plant(tuple(self.now.plant))
-
-    def place(self, indices: Any, plant: Array, observation: Array) -> None:
-        """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
-        self.now.plant[:, indices], self.now.observation[:, indices] = plant, observation
-        true = self.parts.parameters(tuple(self._rows[:, indices])).coefficients
-        rows = np.broadcast_arrays(*deviation(true, self._known.coefficients))
-        self._simulator.place(indices, plant[: len(self.parts.model.state)], np.array(rows))
-
-    def step(self, row: int) -> None:
-        """Advance by a control step with `action` and a row of the samples."""
-        p = self.parts.parameters(tuple(self._rows))
-        with np.errstate(all="ignore"):  # vehicles that have failed may have NaN states
-            plant, terms, (reward, failed, squared, saturated) = step(
-                self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
-            )
-            observation = self.parts.model.layout.encode(terms, ARRAYS, self.parts.bound_factor)
-        self.outcome[:] = Outcome(reward, failed, np.sqrt(squared), saturated)
-        self.now = Side(np.stack(plant_row(plant)), np.asarray(observation))
-
-    def undo(self) -> None:
-        """Raise RuntimeError. Only an environment that cannot plan an episode undoes a step; `rollout` plans none."""
-        raise RuntimeError("a step of another simulator cannot be undone")
-
-    def _moved(
-        self, state: State, force: Force, command: Force, sample: Sequence[Number], p: Any, ns: Namespace
-    ) -> tuple[State, Force]:
-        """Return state and actuator forces one control period later, see `simulation.moved`."""
-        model = p.parts.model
-        names = (*(f"F_{channel}" for channel in model.channels), *model.current, *model.load)
-        current = current_at(state, sample, p, ns)
-        values = *ordered(command, state, sample, p, ns), *current, *sample[model.load_rows]
-        inputs = np.broadcast_arrays(*ModelInputs(**dict(zip(names, values, strict=True))))
-        after, forces = self._simulator.advance(np.array(inputs), float(np.max(p.h)) * p.parts.substeps)
-        return tuple(after), tuple(forces)
-
-
-def bodies(factory: Callable[[int], SixDofSimulator], known: Vehicle | SpaceVehicle) -> MakeSimulator:
-    """Return the argument `simulator` of `rollout` that makes a simulator move the vehicles.
-
-    Args:
-        factory: makes the simulator of N vehicles.
-        known: the known model of the vehicle.
-    """
-    return lambda parts, samples, parameters: SimulatorBodies(
-        factory(samples.shape[-1]), known, parts, samples, parameters
-    )

@@ -15,7 +15,6 @@ from auv_gym.scenarios.vehicles import VehicleModel, vehicle_model
 from baselines.identification.log import Log
 from baselines.identification.trials import EXAMPLE_CURRENT, Segment, Simulated, Trial, recorded
 from research.transfer.simulators import SixDofSimulator
-from research.transfer.six_dof import AS_PUBLISHED, ModelInputs
 
 DURATION = {"remus100": 240.0, "otter": 90.0}
 """Length [s] of a log."""
@@ -53,11 +52,11 @@ class SimulatedVehicle:
         self._simulator, self._current = simulator, current
         states = np.zeros((6, 1))
         states[3] = speed
-        simulator.place(np.array([0]), states, np.array(AS_PUBLISHED)[:, None])
+        simulator.place(np.array([0]), states)
 
     def __call__(self, state: State, command: Force, dt: float) -> State:
         """Return x, y, psi, u, v relative to the water, r after dt [s] of a command [N], [N m]."""
-        inputs = np.array(ModelInputs(*command, *self._current, 0.0, 0.0, 0.0))[:, None]
+        inputs = np.array([*command, *self._current, 0.0, 0.0, 0.0])[:, None]
         x, y, psi, u, v, r = self._simulator.advance(inputs, dt)[0][:, 0].tolist()
         return x, y, psi, u, v, r
 

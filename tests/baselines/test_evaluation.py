@@ -319,7 +319,7 @@ def test_resume_runs_a_changed_policy_again_and_all_in_another_simulator(call, s
         row = json.loads((tmp_path / "runs" / "evaluate" / "results.json").read_text())["results"][1]
         steady_rmses.append(row["steady_rmse_m"]["mean"])
     assert steady_rmses[0] == steady_rmses[1] != steady_rmses[2]
-    monkeypatch.setattr("baselines.evaluation.runner.simulator_fingerprint", lambda _: "another")
+    monkeypatch.setattr("baselines.evaluation.runner.simulator_fingerprint", lambda *_: "another")
     for state in ("done", "known"):
         assert call(*common) == 0
         assert capsys.readouterr().err.count(f": {state}") == 2

@@ -23,12 +23,13 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.observation import TERMS
 from baselines import make_policy
 from baselines.agents import programs
-from baselines.agents.programs import ProgramError, ProgramPolicy
+from baselines.agents.programs import ProgramPolicy
 from baselines.evaluation import rollout as rollout_module
 from baselines.evaluation.cells import drawn
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import PolicyError, Stopwatch, make_env, rollout
 from baselines.evaluation.runner import run_all
+from baselines.tools.programs import ProgramError
 
 ROOT = Path(__file__).parents[2]
 PAGE, TUTORIAL = (

@@ -17,14 +17,14 @@ from auv_gym.physics.vehicle import Coefficients
 from auv_gym.scenarios.presets import as_scenario
 from baselines import make_policy
 from baselines.evaluation.cells import drawn
+from baselines.evaluation.plants import input_names, moved_by
 from baselines.evaluation.rollout import rollout
 from baselines.identification.log import Log
 from research.transfer import comparison, otter, remus100, trials
 from research.transfer.comparison import concordance, pooled
-from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator, bodies, deviation
+from research.transfer.simulators import SIX_DOF_MODELS, SixDofSimulator, deviation
 from research.transfer.six_dof import (
     AS_PUBLISHED,
-    Deviation,
     ModelInputs,
     SpatialMotion,
     coriolis,
@@ -116,12 +116,11 @@ class KnownSimulator:
     def __init__(self, known, scenario):
         self.acting, self.substeps, self.model = known.acting, scenario.substeps, scenario.parts.model
 
-    def place(self, indices, states, deviations):
-        assert np.allclose(deviations, np.array(AS_PUBLISHED)[:, None])
+    def place(self, indices, states, true):
         self.states = states.copy()
 
     def advance(self, inputs, dt):
-        own, model = ModelInputs(*inputs)._asdict(), self.model
+        own, model = dict(zip(input_names(self.model), inputs, strict=True)), self.model
         forces, current = [own[f"F_{c}"] for c in model.channels], [own[name] for name in model.current]
         load = list(model.from_outside([own[name] for name in model.load], self.acting))
         for name, force in zip(model.driven, forces, strict=True):
@@ -138,7 +137,7 @@ def test_with_the_known_equations_the_adapter_changes_nothing(speed_range):
     known = scenario.known if scenario.vertical else scenario.vehicle
     cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", known)
     plain = rollout(policy, scenario, cell.episodes)
-    made = bodies(lambda _: KnownSimulator(known, scenario), known)
+    made = moved_by(lambda _: KnownSimulator(known, scenario))
     other = rollout(policy, scenario, cell.episodes, simulator=made)
     np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
@@ -152,11 +151,11 @@ def test_a_yaw_moment_moves_the_tracked_point_as_in_the_plane(outside):
     after = []
     for moment in (N, 0.0):
         space, inputs = SixDofSimulator("remus100", 1), NO_INPUT._replace(**{"N" if outside else "F_r": moment})
-        space.place([0], start, np.array(AS_PUBLISHED)[:, None])
+        space.place([0], start)
         space.rows[12] = remus100.fin_angle(inputs.F_r, remus100.RUDDER_LIFT, 1.0, FLOATS)  # the angle has no lag
         load = from_outside((0.0, 0.0, moment), known.acting) if outside else (0.0, 0.0, moment)
         plane = rk4_step(tuple(start[:, 0].tolist()), load, known.acting, t)
-        after.append((space.advance(np.array(inputs)[:, None], t)[0][4:, 0], plane[4:]))
+        after.append((space.advance(np.array(inputs[:7])[:, None], t)[0][4:, 0], plane[4:]))
     space, (v, r) = np.subtract(*after)
     np.testing.assert_allclose(space, (v, r), rtol=0.04, atol=0.04 * known.eps * r)
     assert v / (known.eps * r) == pytest.approx(1.0 if outside else 0.0, abs=0.12)
@@ -166,14 +165,14 @@ def test_deviations_scale_masses_and_drag():
     """Twice the masses, drag and force give the same motion; the factors are those of a drawn vehicle."""
     plain, heavy = SixDofSimulator("otter", 1), SixDofSimulator("otter", 1)
     start = np.array([[0, 0, 0, 0.5, 0, 0]]).T
-    plain.place([0], start, np.array(AS_PUBLISHED)[:, None])
+    plain.place([0], start)
     level = plain.rows[2:5].copy()
     plain.rows[2:5] = 0
-    heavy.place([0], start, np.array(Deviation(2, 2, 2, 2, 2, 2, 0, 0, 0))[:, None])
-    heavy.rows[2:5] = level * 0
-    push = np.array(NO_INPUT._replace(X=30.0, N=4.0))[:, None]
-    np.testing.assert_allclose(heavy.advance(2 * push, 0.02)[0][3::2], plain.advance(push, 0.02)[0][3::2], rtol=2e-3)
     known = as_scenario("cruise-mismatch@otter").vehicle.coefficients
+    heavy.place([0], start, Coefficients(*(2 * x for x in known)))
+    heavy.rows[2:5] = level * 0
+    push = np.array(NO_INPUT._replace(X=30.0, N=4.0)[:7])[:, None]
+    np.testing.assert_allclose(heavy.advance(2 * push, 0.02)[0][3::2], plain.advance(push, 0.02)[0][3::2], rtol=2e-3)
     true = Coefficients(*known)._replace(m11=known.m11 * 1.2, d22=known.d22 * 0.8, Y_vv=known.Y_vv * 0.8 + 7)
     wanted = AS_PUBLISHED._replace(m_u=1.2, d_v=0.8, Y_vv=7.0)
     np.testing.assert_allclose(deviation(true, known), wanted, atol=1e-9)

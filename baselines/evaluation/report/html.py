@@ -18,7 +18,6 @@ from typing import Any
 
 import jinja2
 
-from baselines.agents.names import COMMAND
 from baselines.evaluation.report.columns import NONE, Column, definitions, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page_data import page_data
@@ -35,6 +34,7 @@ from baselines.evaluation.score import (
 )
 from baselines.tools.figure_style import look
 from baselines.tools.files import finite, versions
+from baselines.tools.programs import COMMAND
 
 WEB = Path(__file__).parent / "web"
 """The templates, the style, the scripts, and the code of Vega-Lite."""
