@@ -7,6 +7,7 @@ _MODULES = {
     "EpisodeRecord": "evaluation.episodes",
     "Log": "identification.log",
     "POLICIES": "control",
+    "citation": "sources",
     "check_policy": "evaluation.policy_check",
     "identify": "identification.fit",
     "list_policies": "policies",

@@ -20,9 +20,13 @@ from baselines.space import SPACE_POLICIES, make_in_space
 
 
 def list_policies(space: bool | None = False) -> dict[str, str]:
-    """Return a one-line description of each policy by its name: of those in the plane, in `space`, or of all (None)."""
+    """Return a one-line description of each policy by its name: of those in the plane, in `space`, or of all (None).
+
+    Those whose actions are setpoints are left out.
+    """
     agents = dict.fromkeys(shipped_agents(space), "a trained agent, described in its agent.json")
-    return {name: entry.about for name, entry in POLICIES.items() if not space or name in SPACE_POLICIES} | agents
+    forces = {name: entry.about for name, entry in POLICIES.items() if not entry.setpoints}
+    return {name: about for name, about in forces.items() if not space or name in SPACE_POLICIES} | agents
 
 
 def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **options: Any) -> Policy:
@@ -65,7 +69,7 @@ def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **
     if parts.kind != "controller":
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
-        known = list_policies()
+        known = [*POLICIES, *shipped_agents(False)]
         hint = meant(name, [one + suffix for suffix in ("", GUARD) for one in known])
         raise ValueError(
             f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "

@@ -59,6 +59,8 @@ EXAMPLES = {
     ),
     "wandb": Example("Weights & Biases", ("wandb",), ("wandb",)),
     "optuna": Example("Optuna", ("optuna",), ("optuna",)),
+    "mcsimpython": Example("MCSimPython", ("MCSimPython",), ("MCSimPython",)),
+    "pymavlink": Example("pymavlink", ("pymavlink",), ("pymavlink",), "export"),
     "onnxruntime": Example("ONNX Runtime", ("onnxruntime", "onnx"), (), "train,export"),
 }
 

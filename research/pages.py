@@ -50,6 +50,7 @@ PARTS = {
         "gains": "research.vehicles.gains:gains_section",
     },
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
+    "setpoints": {"setpoints": "research.trainings.fine_tuning:setpoints_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "paper": {
         "numbers": "research.paper.command:numbers_section",

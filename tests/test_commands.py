@@ -59,6 +59,7 @@ ELSEWHERE = {
     r"(auv-gym export .* --vehicle my\.toml|cc -O2) .*": "test_export.py::test_the_documented_program_gives_the_...",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"auv-gym verify .*": "test_result_files.py::test_equal_results_are_repeated",
+    r"(auv-gym evaluate .* --plant|export PYTHONPATH=|c\+\+ -std).*": "test_plants.py",
     r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_equal_the_class",
     r"python -m research paper": "`make demo`, below",
     r"python -m research speed .*": "`make bench`, below",

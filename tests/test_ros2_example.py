@@ -13,6 +13,7 @@ import pytest
 
 from auv_gym import decode_observation
 from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.autopilot import LARGEST_TURN
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import Circle
 from auv_gym.planning.planner import plan
@@ -43,7 +44,9 @@ int main(int, char **argv) {
     const Measurement m = ned ? from_ned(n[0], n[1], n[2], n[3], n[4], n[5])
                               : Measurement{n[0], n[1], n[2], n[3], n[4], n[5]};
     const Command c = controller.step(std::isnan(n[2]) ? nullptr : &m), shown = ned ? to_ned(c) : c;
-    std::cout << shown.F_u << " " << shown.F_r << " " << static_cast<int>(controller.status()) << "\\n";
+    const Setpoints s = controller.setpoints();
+    std::cout << shown.F_u << " " << shown.F_r << " " << static_cast<int>(controller.status()) << " " << s.heading
+              << " " << s.speed << "\\n";
   }
 }
 """
@@ -97,18 +100,18 @@ def compiled(folder, compiler, *words):
 
 
 def commanded(folder, measured, axes="enu", fin=0.0):
-    """Return forces, shape (N, 2), and the status of each step."""
+    """Return forces, shape (N, 2), the status of each step, and the setpoints of heading and speed, shape (N, 2)."""
     lines = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in measured)
     done = subprocess.run(
         [folder / "program", axes, str(fin)], input=lines, cwd=folder, capture_output=True, text=True, check=True
     )
     rows = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
-    return rows[:, :2], rows[:, 2].astype(int).tolist()
+    return rows[:, :2], rows[:, 2].astype(int).tolist(), rows[:, 3:]
 
 
 def test_it_commands_what_the_agent_does(program, episode):
     measured, commands = episode
-    forces, status = commanded(program, measured)
+    forces, status, _ = commanded(program, measured)
     assert np.abs(commands).max() > 20.0
     np.testing.assert_allclose(forces, commands, atol=1e-3)
     assert status == [0] * STEPS
@@ -123,15 +126,26 @@ def test_it_knows_that_fins_need_speed(program):
 def test_ned_has_the_same_surge_force_and_the_opposite_moment(program, episode):
     """The track is mirrored: north is x, east is -y."""
     measured, commands = episode
-    forces, _ = commanded(program, measured * (1, -1, -1, 1, -1, -1), "ned")
+    forces, *_ = commanded(program, measured * (1, -1, -1, 1, -1, -1), "ned")
     np.testing.assert_allclose(forces, commands * (1, -1), atol=1e-3)
+
+
+def test_an_action_is_also_a_setpoint(program):
+    """Relative to heading and speed of the reference, as an `Autopilot` takes it; with fins too."""
+    measured, commands = run(150.0)
+    largest = np.clip(150.0 * measured[:, 3] ** 2, 200.0 / 64, 200.0)
+    *_, setpoints = commanded(program, measured, fin=150.0)
+    reference = plan(Circle(0.8, 0.1), PAPER_VEHICLE, PERIOD * np.arange(STEPS))
+    actions = commands / np.stack((np.full(STEPS, 400.0), largest), axis=1)
+    np.testing.assert_allclose(setpoints[:, 0], reference.table[:, 2] + LARGEST_TURN * actions[:, 1], atol=1e-4)
+    np.testing.assert_allclose(setpoints[:, 1], reference.table[:, 3] * (1 + actions[:, 0]), atol=1e-4)
 
 
 def test_a_missing_measurement_repeats_the_command_then_stops(program, episode):
     measured = episode[0].copy()
     measured[50:53] = math.nan
     measured[80:100] = math.nan
-    forces, status = commanded(program, measured)
+    forces, status, _ = commanded(program, measured)
     assert status == [0] * 50 + [1] * 3 + [0] * 27 + [1] * 10 + [2] * 10 + [0] * 50
     assert (forces[50:53] == forces[49]).all()
     assert (forces[80:90] == forces[79]).all()
@@ -148,7 +162,7 @@ def test_a_missing_position_is_replaced_by_the_last_one(program, episode):
 
 
 def test_the_end_of_the_reference_is_zero_force(program, episode):
-    forces, status = commanded(program, np.concatenate((episode[0], episode[0][-1:])))
+    forces, status, _ = commanded(program, np.concatenate((episode[0], episode[0][-1:])))
     assert (status[-1], *forces[-1]) == (3, 0, 0)
 
 

@@ -244,7 +244,8 @@ def effect(cls: type[T]) -> type[T]:
             raise TypeError(f"{made.__name__} has a field with the name of a point, {name!r}; choose another name")
         if unit not in POWERS:
             raise TypeError(f"the unit of {made.__name__}.{name} is {unit!r}; it must be one of {_UNITS}")
-    made.Constants = namedtuple("Constants", units, defaults=[made.neutral.get(name, 0.0) for name in units])  # type: ignore[misc]
+    if "Constants" not in vars(made):
+        made.Constants = namedtuple("Constants", units, defaults=[made.neutral.get(name, 0.0) for name in units])  # type: ignore[misc]
     _check_points(made)
     EFFECTS[made.name] = made
     own: type[T] = made

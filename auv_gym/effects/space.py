@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from auv_gym.effects.actuators import Astern, Delay, Reach, fin_share, known_torque
+from auv_gym.effects.autopilot import Autopilot
 from auv_gym.effects.base import At, Effect
 from auv_gym.effects.current import Shear
 from auv_gym.effects.faults import Faults, OffsetFaults
@@ -137,7 +138,7 @@ class Bounds(Effect):
 
 
 SPACE_PACKAGE: tuple[type[Effect], ...] = (
-    Delay, Reach, CorrelatedNoise, Faults, OffsetFaults, Astern, SpaceFins, SpaceLift, SpaceCrossFlow, Veer, Shear,
-    Outages, Bounds,
+    Autopilot, Delay, Reach, CorrelatedNoise, Faults, OffsetFaults, Astern, SpaceFins, SpaceLift, SpaceCrossFlow, Veer,
+    Shear, Outages, Bounds,
 )  # fmt: skip
 """The effects of scenarios in space, in the order in which they act at a point."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from auv_gym.effects.actuators import Actuators
+from auv_gym.effects.autopilot import Autopilot
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.effects.mismatch import RandomMismatch
 from auv_gym.effects.sensors import Sensors
@@ -20,7 +21,10 @@ from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from auv_gym.scenarios.vertical import Vertical
 
-__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPACE_PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
+__all__ = [
+    "CASES", "PAPER_SCENARIO", "PRESETS", "SETPOINTS", "SPACE_PRESETS", "SPEED_RANGES", "as_scenario", "is_preset",
+    "list_scenarios", "with_setpoints",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -128,15 +132,29 @@ PRESETS = {
 """Scenarios by name; a new entry can be used as `gym.make(..., scenario=NAME)`."""
 
 
+SETPOINTS = "-setpoints"
+"""Suffix of a preset's name: an `Autopilot` commands the actuators, and actions are its setpoints."""
+
+
 def list_scenarios() -> list[str]:
     """Return the names of the presets, in the plane and in space."""
     return [*PRESETS, *SPACE_PRESETS]
 
 
+def with_setpoints(scenario: Scenario) -> Scenario:
+    """Return a scenario of the paper's vehicle whose actions are setpoints of an `Autopilot` with its usual gains."""
+    return replace(scenario, name=f"{scenario.name}{SETPOINTS}", effects=(*scenario.effects, Autopilot()))
+
+
+def is_preset(name: str) -> bool:
+    """Return whether a name is that of a preset, perhaps with `SETPOINTS`, and then perhaps with `@` and a vehicle."""
+    return name.partition("@")[0].removesuffix(SETPOINTS) in PRESETS | SPACE_PRESETS
+
+
 def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any]) -> Scenario:
     """Return the scenario for an object, the name of a preset, a .toml or .json file, or a dict.
 
-    PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`.
+    PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`; in PRESET-setpoints actions are setpoints.
 
     Raises:
         OSError: the file cannot be read.
@@ -147,10 +165,10 @@ def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any])
     if isinstance(scenario, Mapping):
         return Scenario.from_dict(scenario)
     presets = PRESETS | SPACE_PRESETS
-    if isinstance(scenario, str):
+    if isinstance(scenario, str) and is_preset(scenario):
         name, at, vehicle = scenario.partition("@")
-        if name in presets:
-            return changed(presets[name], vehicle if at else None)
+        preset = presets[name.removesuffix(SETPOINTS)]
+        return changed(with_setpoints(preset) if name.endswith(SETPOINTS) else preset, vehicle if at else None)
     if (file := table_file(scenario)) is not None:
         return Scenario.load(file)
     allowed = (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from auv_gym.effects import PACKAGE, Effect
+from auv_gym.effects import PACKAGE, Autopilot, Effect
 from auv_gym.effects.actuators import Actuators, Response
 from auv_gym.effects.base import EFFECTS, uniform_of
 from auv_gym.effects.current import Current, RandomCurrent
@@ -315,8 +315,13 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of the simulation that its episodes use."""
-        effects = *(e for e in self._package if e.used(self)), *(type(one) for one in self.effects)
-        return Parts(self.substeps, effects, self.bound_factor, SPACE if self.vertical else PLANE)
+        effects = dict.fromkeys((*(e for e in self._package if e.used(self)), *(type(one) for one in self.effects)))
+        return Parts(self.substeps, tuple(effects), self.bound_factor, SPACE if self.vertical else PLANE)
+
+    @property
+    def takes_setpoints(self) -> bool:
+        """Whether actions are setpoints of an `Autopilot`, not forces."""
+        return Autopilot in self.parts.effects
 
     @property
     def _package(self) -> tuple[type[Effect], ...]:

@@ -16,6 +16,7 @@ from baselines.control.ekf_law import EKF_GAINS, EkfLaw
 from baselines.control.ilos import Ilos, IlosGains
 from baselines.control.integral import INTEGRAL_GAINS, IntegralLaw
 from baselines.control.los_pid import LineOfSightPID, PIDGains
+from baselines.control.los_setpoints import make_los_setpoints
 from baselines.control.lqi import LQI, LqiWeights
 from baselines.control.nmpc.controller import make_nmpc
 from baselines.control.open_loop import OpenLoop
@@ -46,6 +47,7 @@ class Registration(NamedTuple):
     about: str  # description in one line
     options: Mapping[str, Any] = MappingProxyType({})  # of `make`
     privileged: bool = False  # whether it needs full information, see `policy.Privileged`
+    setpoints: bool = False  # whether its actions are setpoints of an autopilot
 
 
 POLICIES: dict[str, Registration] = {
@@ -86,6 +88,9 @@ POLICIES: dict[str, Registration] = {
         "the full-information optimum over the whole episode, which scores 1; for evaluation only",
         privileged=True,
     ),
+    "los-setpoints": Registration(
+        make_los_setpoints, "line-of-sight guidance for the autopilots of a scenario with setpoints", setpoints=True
+    ),
     "open-loop": Registration(OpenLoop, "the planner's forces without feedback"),
 }
 """Controllers by name. An entry here makes a name known everywhere."""
@@ -104,7 +109,7 @@ def make_controller(name: str, vehicle: VehicleLike | None = None, **options: An
     """
     if name not in POLICIES:
         raise ValueError(f"unknown policy {name!r}; allowed are {', '.join(POLICIES)}")
-    make, _, defaults, _ = POLICIES[name]
+    make, _, defaults, *_ = POLICIES[name]
     try:
         return make(**{**defaults, **vehicle_option(make, vehicle), **options})
     except TypeError as error:

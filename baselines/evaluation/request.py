@@ -13,20 +13,25 @@ from typing import Any
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.missions import mission_scenario, read_mission
-from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS, as_scenario
+from auv_gym.scenarios.presets import PRESETS, SETPOINTS, SPACE_PRESETS, as_scenario, is_preset
 from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import Scenario
+from baselines.agents.agent import Agent
 from baselines.agents.loading import caution, load_effects
-from baselines.agents.names import agent_folder
+from baselines.agents.names import PolicyName, agent_folder
+from baselines.control import POLICIES
+from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.options import Options
+from baselines.evaluation.plants import PlantCommand, checked_plant
 from baselines.evaluation.recorded import RecordedRuns, recorded_runs, speed_ranges_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, speed_range_of
+from baselines.evaluation.score import OPTIMUM_POLICY, expert_of, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import list_policies, make_policy
 from baselines.tools.command_line import UsageError, checked, checked_folder, printable
+from baselines.tools.files import read_json
 from baselines.tools.workers import Workers
 
 DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
@@ -52,6 +57,7 @@ class Request:
     earlier: tuple[Run, ...] = ()  # recorded runs to compare with
     notes: tuple[str, ...] = ()  # remarks on the results
     trainings: tuple[tuple[str, ...], ...] = ()  # the policies from several seeds of one training, for each training
+    plant: PlantCommand | None = None  # the program that moves the vehicles
 
     @classmethod
     def of(cls, options: Options, command: str = "") -> Request:
@@ -68,11 +74,18 @@ class Request:
         frozen = suite in list_suites()
         cells, digest, recorded = _frozen(suite or "", options) if frozen else _drawn(suite, options)
         scenarios = [cell.scenario for cell in cells]
-        names = checked_policies((EXPERT, *itertools.chain.from_iterable(named)), scenarios)
+        names = checked_policies((expert_of(scenarios), *itertools.chain.from_iterable(named)), scenarios)
+        plant = None
+        if options.plant is not None:
+            plant, recorded = checked(partial(checked_plant, options.plant, scenarios)), RecordedRuns((), ())
+            if privileged := [name for name in names if name in POLICIES and POLICIES[name].privileged]:
+                raise UsageError(f"{privileged[0]} needs the equations of motion, which --plant replaces; leave it out")
         earlier = tuple(run for run in recorded.runs if run.policy not in names)
-        if frozen and all(run.policy != OPTIMUM_POLICY for run in earlier):
+        if frozen and plant is None and all(run.policy != OPTIMUM_POLICY for run in earlier):
             names = tuple(dict.fromkeys((*names, OPTIMUM_POLICY)))
         notes, untrained = [*recorded.notes], {}
+        if plant is not None:
+            notes.append(f"the vehicles are moved by {options.plant}, with its own actuators")
         for name in names:
             ranges = speed_ranges_of(name)
             others = [cell.scenario.name for cell in cells if speed_range_of(cell.scenario.name) not in (*ranges, None)]
@@ -102,6 +115,7 @@ class Request:
             earlier,
             tuple(notes),
             trainings,
+            plant,
         )
 
     def ordered(self, runs: Sequence[Run]) -> list[Run]:
@@ -189,11 +203,10 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     Raises:
         UsageError: there is none, or it cannot be used.
     """
-    presets = PRESETS | SPACE_PRESETS
-    if name.partition("@")[0] in presets:
+    if is_preset(name):
         return checked(partial(as_scenario, name))
     if table_file(name) is None:
-        known = *others, *presets
+        known = *others, *PRESETS, *SPACE_PRESETS
         raise UsageError(
             f"unknown scenario {name!r}{meant(name, known)}; allowed are a .toml or .json file, or one of "
             + ", ".join(known)
@@ -212,6 +225,19 @@ def seeds_of(name: str) -> tuple[str, ...]:
     return tuple(sorted((str(one.parents[1]) for one in agents), key=lambda one: (len(one), one)))
 
 
+def takes_setpoints(name: str) -> bool | None:
+    """Return whether a policy's actions are setpoints, see `Scenario.takes_setpoints`; None if it is not known."""
+    base = PolicyName.of(name)
+    if base.kind == "gains":
+        base = PolicyName(read_json(Path(base.base)).get("controller", ""))
+    elif base.folder is not None:
+        agent = Agent.load(base.folder)
+        if agent.expert == NO_EXPERT:
+            return any(one.partition("@")[0].endswith(SETPOINTS) for one in agent.scenarios)
+        base = PolicyName(agent.expert)
+    return POLICIES[base.base].setpoints if base.base in POLICIES else None
+
+
 def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -> tuple[str, ...]:
     """Return the names of policies without repetitions, and check that each policy can be made.
 
@@ -222,12 +248,17 @@ def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -
     Raises:
         UsageError: a policy cannot be made.
     """
+    interfaces = {scenario.takes_setpoints: scenario.name for scenario in scenarios}
     space = dict.fromkeys(scenario.known for scenario in scenarios if scenario.vertical)
     in_plane = not scenarios or any(scenario.vertical is None for scenario in scenarios)
     vehicles: list[Any] = [*space, *([PAPER_VEHICLE] if in_plane else [])]
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
+        actions = takes_setpoints(name)
+        if actions is not None and (other := interfaces.get(not actions)) is not None:
+            kinds = ("forces", "setpoints")[:: 1 if actions else -1]
+            raise UsageError("actions of {2} are {0}, the policy {3} gives {1}".format(*kinds, other, name))
         for vehicle in vehicles:  # a factory may require one
             if vehicle is not PAPER_VEHICLE or name not in list_policies():
                 checked(partial(make_policy, name, vehicle))

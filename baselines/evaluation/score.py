@@ -11,7 +11,7 @@ anchors are close together.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy with score 0
+SETPOINT_EXPERT = "los-setpoints"  # the same in scenarios whose actions are setpoints
 ORACLE = "oracle"  # a regulator with known plant and disturbances
 OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum, with score 1
 FULL_INFORMATION = (ORACLE, OPTIMUM_POLICY)
@@ -72,6 +73,11 @@ def paired(*measures: Measures) -> list[Measures]:
     """Return the metrics of the episodes that all policies have run: the first ones, if a policy has run fewer."""
     shortest = min(map(len, measures))
     return [m if len(m) == shortest else m[:shortest] for m in measures]
+
+
+def expert_of(scenarios: Iterable[Scenario]) -> str:
+    """Return the policy with score 0 in some scenarios; in mixed ones it is that for forces."""
+    return SETPOINT_EXPERT if all(scenario.takes_setpoints for scenario in scenarios) else EXPERT
 
 
 def speed_range_of(scenario: str) -> str | None:

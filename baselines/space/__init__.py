@@ -19,6 +19,7 @@ from baselines.policy import Remembering
 from baselines.space.backstepping import SpaceBackstepping
 from baselines.space.ekf import SpaceEkfLaw
 from baselines.space.los_pid import SpaceLineOfSight
+from baselines.space.los_setpoints import space_los_setpoints
 from baselines.space.lqi import SpaceLQI
 from baselines.space.nmpc import space_nmpc
 from baselines.space.open_loop import SpaceOpenLoop
@@ -53,6 +54,7 @@ SPACE_POLICIES: Mapping[str, Callable[..., Policy]] = {
     "backstepping": lambda vehicle, **options: SpaceBackstepping(vehicle=vehicle, **options),
     "backstepping-normalised": lambda vehicle: SpaceBackstepping("normalised", vehicle),
     **{name: _made(name) for name in TUNED},
+    "los-setpoints": lambda _, gains=None: space_los_setpoints(gains),
     "open-loop": lambda _: SpaceOpenLoop(),
     "clairvoyant": lambda _: FullInformationOptimum(),
 }

@@ -18,13 +18,14 @@ from tyro.conf import arg
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import Sea
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
+from auv_gym.scenarios.presets import SETPOINTS, with_setpoints
 from auv_gym.scenarios.records import meant, read_table, table_file
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.request import checked_scenario, import_effects
-from baselines.evaluation.score import EXPERT
+from baselines.evaluation.score import EXPERT, SETPOINT_EXPERT, expert_of
 from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
 from baselines.tools.workers import Workers
 from baselines.training.comparison import RESULT, Comparison
@@ -41,11 +42,13 @@ VEHICLE_EXPERT = "los-pid"
 resist, where `EXPERT` diverges."""
 DEFAULTS: Mapping[str, Any] = {"timesteps": 1_000_000, "expert": None, "authority": 0.5}
 """Values of these options if neither the command line nor the file of hyper-parameters has them; for the expert None
-is `EXPERT`, or `VEHICLE_EXPERT` for a vehicle."""
+is that of `expert_of`, or `VEHICLE_EXPERT` for a vehicle that takes forces."""
 DEFAULT_SCENARIO = ("cruise",)  # of `--scenario`
 FINE_TUNING_METHOD = "fine-tuning"
 """Name of the file of the hyper-parameters that differ from those of an agent's own training, if it is trained
 further."""
+SETPOINT_METHOD = "setpoints"
+"""Name of the file of the hyper-parameters of a new agent whose actions are setpoints."""
 
 
 @dataclass(frozen=True)
@@ -169,16 +172,19 @@ def configurations(options: Options) -> tuple[Config, ...]:
         raise ValueError(f"--from requires the algorithm {ALGO}, not {options.algo}; leave out --algo")
     if options.vehicle is None and options.sea != Sea():
         raise ValueError("--current and --waves are those of a vehicle's sea; name it with --vehicle")
-    values = read_hyperparameters(options.hyperparameters or shipped(FINE_TUNING_METHOD if initial else options.algo))
+    scenarios, vehicle = _scenarios(options, initial)
+    usual = expert_of(scenario for scenario, _ in scenarios)
+    method = SETPOINT_METHOD if options.algo == ALGO and usual == SETPOINT_EXPERT else options.algo
+    values = read_hyperparameters(options.hyperparameters or shipped(FINE_TUNING_METHOD if initial else method))
     timesteps, expert, authority = (values.pop(name, default) for name, default in DEFAULTS.items())
     values |= (changes := changes_of(options.set))
-    expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle else EXPERT)
     authority = options.authority or authority
     if initial:
         initial.check(options.expert, options.authority, changes)
         values = {**initial.config.hyperparameters, **values}
         expert, authority = initial.agent.expert, initial.agent.authority
-    scenarios, vehicle = _scenarios(options, initial)
+    if not initial:
+        expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle and usual == EXPERT else usual)
     first = Config(
         options.algo,
         scenarios,
@@ -252,7 +258,8 @@ def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
 def _start(options: Options) -> str | None:
     """Return the agent that a training starts from, None for a new network."""
     if options.from_ is None and options.vehicle and options.algo == ALGO and options.expert is None:
-        return _base_agent(resolved(options.scenario))
+        mixture = resolved(options.scenario)
+        return None if any(scenario.takes_setpoints for scenario, _ in mixture) else _base_agent(mixture)
     return None if options.from_ == NO_EXPERT else options.from_
 
 
@@ -287,8 +294,9 @@ def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
     """
     mixture: list[tuple[Scenario, float]] = []
     for name, weight in map(_split, words):
-        if name in MIXTURES:
-            mixture += [(scenario, weight * share) for scenario, share in MIXTURES[name]]
+        if (kind := name.removesuffix(SETPOINTS)) in MIXTURES:
+            cases = [(scenario, weight * share) for scenario, share in MIXTURES[kind]]
+            mixture += cases if kind == name else [(with_setpoints(scenario), share) for scenario, share in cases]
         else:
             mixture.append((checked_scenario(name, tuple(MIXTURES)), weight))
     return tuple(mixture)
@@ -323,8 +331,9 @@ def _comparison(options: Options, config: Config) -> Comparison | None:
     """Return the comparison at the end; None if it is left out, or limits and lag of the vehicle are not known."""
     if options.no_compare or (vehicle_model := as_vehicle_model(options.vehicle)) is None:
         return None
-    base = _base_agent(config.scenarios)
-    comparison = Comparison(vehicle_model, options.sea, _start(options) or base, base == SPACE_BASE_AGENT)
+    base, setpoints = _base_agent(config.scenarios), any(s.takes_setpoints for s, _ in config.scenarios)
+    other = None if setpoints else _start(options) or base
+    comparison = Comparison(vehicle_model, options.sea, other, base == SPACE_BASE_AGENT)
     try:
         comparison.scenario  # noqa: B018, it raises
     except ValueError as error:

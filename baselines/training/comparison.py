@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.scenarios.fitting import Sea, changed
-from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.presets import SETPOINTS, as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.names import GUARD
@@ -24,7 +24,7 @@ from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import OPTIMUM_POLICY, cap_of, capped, has_failed
+from baselines.evaluation.score import OPTIMUM_POLICY, SETPOINT_EXPERT, cap_of, capped, has_failed
 from baselines.gains.loading import adapted_gains
 from baselines.space import SPEED_RANGE
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -35,6 +35,8 @@ from baselines.tuning.search import Budget, search_record
 
 CONTROLLERS = {"los-pid": Budget(), "nmpc": Budget(60, 16)}
 """Controllers whose gains are searched for the vehicle, and the size of the search, which takes a minute or less."""
+WITH_SETPOINTS = {SETPOINT_EXPERT: Budget()}
+"""The same if actions are setpoints."""
 CHECKED = 128  # episodes on which the controllers with the gains found are compared, a multiple of 8
 EPISODES = 48  # of the comparison; they have the seeds from 0 on
 RESULT = "comparison.json"  # file of the results; comparison.md has the same as a table
@@ -48,9 +50,13 @@ class Comparison:
 
     vehicle_model: VehicleModel
     sea: Sea
-    agent: str
-
+    agent: str | None  # None: actions are setpoints
     in_space: bool = False  # else in the plane
+
+    @property
+    def controllers(self) -> Mapping[str, Budget]:
+        """The controllers of the comparison, with the size of their searches."""
+        return CONTROLLERS if self.agent else WITH_SETPOINTS
 
     @property
     def speed_range(self) -> str:
@@ -60,7 +66,8 @@ class Comparison:
     @property
     def scenario(self) -> Scenario:
         """The storms; raises ValueError if they are too slow for the fins of the vehicle."""
-        return self.sea.of(changed(as_scenario(f"{self.speed_range}-storm"), self.vehicle_model))
+        name = f"{self.speed_range}-storm{'' if self.agent else SETPOINTS}"
+        return self.sea.of(changed(as_scenario(name), self.vehicle_model))
 
 
 def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: Workers) -> str:
@@ -83,17 +90,17 @@ def compare(comparison: Comparison, agents: Sequence[Path], out: Path, workers: 
     from baselines.evaluation.evaluate import run_request  # with its reports, which take long to import
 
     with locked(out):
-        files = {name: out / GAINS_FOLDER / f"{name}.json" for name in CONTROLLERS}
+        files = {name: out / GAINS_FOLDER / f"{name}.json" for name in comparison.controllers}
         tasks = [(name, comparison, file) for name, file in files.items() if not file.exists()]
         for name in workers.results(search, tasks):
             print(f"searched the gains of {name} for the vehicle", file=sys.stderr)
-        best = better_gains(out)
-        own = [str(agent) for agent in agents]
-        guarded = [] if comparison.in_space else [f"{agent}{GUARD}={best}" for agent in own]
-        policies = *own, *guarded, comparison.agent, *map(str, files.values())
+        own, others = [str(agent) for agent in agents], [str(file) for file in files.values()]
+        if comparison.agent:
+            guarded = [] if comparison.in_space else [f"{agent}{GUARD}={better_gains(out)}" for agent in own]
+            others = [*guarded, comparison.agent, *others, OPTIMUM_POLICY]
         comparison.scenario.save(out / STORM)
         options = Options(
-            (*policies, OPTIMUM_POLICY),
+            (*own, *others),
             scenario=(str(out / STORM),),
             episodes=EPISODES,
             out=out / "comparison",
@@ -129,7 +136,9 @@ def search(name: str, comparison: Comparison, file: Path) -> str:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # of the expert, which the record compares with
-        record = search_record(tunable, draw, start, CONTROLLERS[name], vehicle, CHECKED, show=lambda *_: None)
+        record = search_record(
+            tunable, draw, start, comparison.controllers[name], vehicle, CHECKED, show=lambda *_: None
+        )
     write_atomically(file, json_text({"controller": name, **record}))
     return name
 
@@ -173,10 +182,12 @@ def table(record: dict[str, Any]) -> str:
         f"{row['failed']} | {row['avoidable']} |"
         for row in record["rows"]
     ]
+    has_optimum = any(row["policy"] == OPTIMUM_POLICY for row in record["rows"])
+    optimum = f"`{OPTIMUM_POLICY}` has full information. " if has_optimum else ""
     about = (
         f"{record['episodes']} episodes of {record['scenario']}: mean steady-state error with 95 % interval, where a "
         f"failure counts as {record['cap_m']:.3g} m. A failure is avoidable if another policy of the table does "
-        f"not fail. `{OPTIMUM_POLICY}` has full information. The gains of gains/*.json are searched for this vehicle."
+        f"not fail. {optimum}The gains of gains/*.json are searched for this vehicle."
     )
     head = "| policy | error [m] | failures | avoidable |\n| --- | --- | --: | --: |"
     return "\n".join((about, "", head, *lines, "", f"All metrics: `{record['evaluate']}`", ""))

@@ -14,7 +14,7 @@ from auv_gym.task.policy import Policy
 from baselines.evaluation.cells import Cell, SideBySide, drawn
 from baselines.evaluation.metrics import Ended, Measures
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.score import EXPERT, capped, error_cap, has_failed, speed_range_of
+from baselines.evaluation.score import capped, error_cap, expert_of, has_failed, speed_range_of
 from baselines.evaluation.suites import load_suite
 from baselines.policies import make_policy
 from baselines.tools.seeds import VALIDATION
@@ -58,10 +58,10 @@ class Validation:
     def __init__(self, cells: Sequence[Cell]) -> None:
         self.cells = cells
         self._episodes = SideBySide(cells)
-        experts = [
-            rollout(make_policy(EXPERT, cell.scenario.known), cell.scenario, cell.episodes, math.inf).measures
-            for cell in cells
-        ]
+        experts = []
+        for cell in cells:
+            policy = make_policy(expert_of([cell.scenario]), cell.scenario.known)
+            experts.append(rollout(policy, cell.scenario, cell.episodes, math.inf).measures)
         self.expert_m = self._means(self._capped(experts))
 
     def run(self, policy: Policy) -> Verdict:

@@ -16,11 +16,12 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.fitting import Sea, changed
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.names import CASES, SPACE_CASES
-from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.presets import as_scenario, with_setpoints
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel
 from auv_gym.task.policy import Policy
 from baselines.control import POLICIES, TUNED
+from baselines.control.los_setpoints import LosGains
 from baselines.control.nmpc.controller import NMPC_ADVERSE_GAINS, NMPC_GAINS
 from baselines.evaluation.metrics import Ended, effort, smoothness, steady_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
@@ -28,6 +29,7 @@ from baselines.evaluation.score import ERROR_CAPS, capped, has_failed
 from baselines.space import SPEED_RANGE
 from baselines.space import TUNED as TUNED_IN_SPACE
 from baselines.space import tuned as tuned_in_space
+from baselines.space.los_setpoints import space_los_setpoints
 
 
 class Maker(Protocol):
@@ -48,8 +50,8 @@ class Tunable:
 
 def _tunable(name: str, names: Sequence[str]) -> Tunable:
     """Return the entry of a controller whose factory takes gains; a fault-tolerant one is tuned with faults."""
-    factory, _, options, _ = POLICIES[name]
-    world = "adverse" if name.endswith("-adverse") else "plain"
+    factory, _, options, *_ = POLICIES[name]
+    world = "adverse" if name.endswith("-adverse") else "setpoints" if POLICIES[name].setpoints else "plain"
     return Tunable(partial(factory, **options), names, world)
 
 
@@ -57,12 +59,14 @@ TUNABLES: dict[str, Tunable] = {
     **{name: _tunable(name, names) for name, (names, _) in TUNED.items()},
     "nmpc": _tunable("nmpc", NMPC_GAINS),
     "nmpc-adverse": _tunable("nmpc-adverse", NMPC_ADVERSE_GAINS),
+    "los-setpoints": _tunable("los-setpoints", LosGains._fields),
 }
 """The controllers that can be tuned, by name: add an entry here. It includes those of `TUNED`."""
 
 
 SPACE_TUNABLES: dict[str, Tunable] = {
-    name: Tunable(partial(tuned_in_space, name), names) for name, (names, _) in TUNED_IN_SPACE.items()
+    **{name: Tunable(partial(tuned_in_space, name), names) for name, (names, _) in TUNED_IN_SPACE.items()},
+    "los-setpoints": Tunable(space_los_setpoints, LosGains._fields, "setpoints"),
 }
 """The controllers in space that can be tuned, by name."""
 RATE_PRICE = {"slow": 0.0025, "cruise": 0.0007, "space": 0.0007}
@@ -100,7 +104,7 @@ def tuning_scenarios(
     Args:
         speed_range: "slow" or "cruise", or "space".
         world: "plain" for the eight cases of the speed range and `MORE`; "adverse" for these and as many storms with
-            faults.
+            faults; "setpoints" for the first ones with an autopilot.
         vehicle_model: the vehicle. The scenarios are in the paper's units, so that caps and gains are comparable.
         sea: current and waves in place of those of the scenarios, in SI units.
 
@@ -111,7 +115,9 @@ def tuning_scenarios(
     known, more = (SPACE_CASES, MORE_IN_SPACE) if in_space else (CASES, MORE)
     names = (*known, *(case for case, times in more.items() for _ in range(times)))
     cases = tuple(as_scenario(f"{speed_range}-{case}") for case in names)
-    every = cases if world == "plain" else (*cases, *(adverse(speed_range),) * len(cases))
+    if world == "setpoints":
+        cases = tuple(replace(with_setpoints(case), name=case.name) for case in cases)
+    every = (*cases, *(adverse(speed_range),) * len(cases)) if world == "adverse" else cases
     if vehicle_model == PAPER and sea == Sea():
         return every
     own, sea = vehicle_model.in_paper_units, sea.in_paper_units(vehicle_model.vehicle)

@@ -23,7 +23,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
-from baselines.evaluation.score import EXPERT
+from baselines.evaluation.score import EXPERT, SETPOINT_EXPERT
 from baselines.policies import make_policy
 from baselines.tools.seeds import TUNING, TUNING_CHECK
 from baselines.tuning.objective import Tunable, TuningEpisodes, compared
@@ -137,7 +137,8 @@ def search_record(
     before = episodes.run(factory(dict(start)))
     after = before if found == start else episodes.run(factory(dict(found)))
     gains, result = (found, after) if after.cost_m < before.cost_m else (dict(start), before)
-    expert = episodes.run(make_policy(EXPERT, vehicle=vehicle))
+    usual = SETPOINT_EXPERT if tunable.world == "setpoints" else EXPERT
+    expert = episodes.run(make_policy(usual, vehicle=vehicle))
     return {
         "gains": gains,
         "start": dict(start),

@@ -15,7 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.score import speed_range_of
+from baselines.evaluation.score import SETPOINT_EXPERT, speed_range_of
 from baselines.space import SPEED_RANGE
 
 FOLDER = "videos"
@@ -30,6 +30,8 @@ QUICK = "paper-circle"
 def shown_policies(scenario: str) -> tuple[str, ...]:
     """Return the policies in the video of a scenario: the expert, and with a speed range a second one."""
     speed_range = speed_range_of(scenario)
+    if as_scenario(scenario).takes_setpoints:
+        return (SETPOINT_EXPERT,)
     if speed_range == SPEED_RANGE:
         return "backstepping", "helm-3d"
     return ("backstepping", "helm") if speed_range else ("backstepping",)

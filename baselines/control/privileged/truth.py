@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.effects import PACKAGE
+from auv_gym.effects import PACKAGE, Autopilot
 from auv_gym.effects.actuators import LONGEST_DELAY, Delay
 from auv_gym.effects.space import SPACE_PACKAGE
 from auv_gym.physics.dynamics import State
@@ -50,7 +50,8 @@ class Truth:
             InfeasibleReferenceError: an episode's path cannot be followed.
             ValueError: the scenario has an effect that is not one of the package.
         """
-        if own := [effect.name for effect in scenario.parts.effects if effect not in (*PACKAGE, *SPACE_PACKAGE)]:
+        known = {*PACKAGE, *SPACE_PACKAGE} - {Autopilot}
+        if own := [effect.name for effect in scenario.parts.effects if effect not in known]:
             raise ValueError(f"full information does not include the effect {own[0]!r}: leave this policy out")
         rows = np.array([parameter_row(scenario.parameters(episode)) for episode in episodes]).T
         return cls(scenario.parts.parameters(tuple(rows)), samples(scenario, episodes))

@@ -1,4 +1,4 @@
-// A ROS 2 node that tracks a reference: nav_msgs/Odometry in, geometry_msgs/WrenchStamped out.
+// A ROS 2 node that tracks a reference: nav_msgs/Odometry in, geometry_msgs/WrenchStamped or setpoints out.
 #include <chrono>
 #include <fstream>
 #include <memory>
@@ -8,6 +8,7 @@
 #include <geometry_msgs/msg/wrench_stamped.hpp>
 #include <nav_msgs/msg/odometry.hpp>
 #include <rclcpp/rclcpp.hpp>
+#include <std_msgs/msg/float64.hpp>
 
 #include "auv_gym_controller/controller.hpp"
 
@@ -19,6 +20,10 @@ class ControllerNode : public rclcpp::Node {
     const auto axes = declare_parameter<std::string>("axes", "enu");  // ROS; or "ned" with body axes ahead, right, down
     if (axes != "enu" && axes != "ned") throw std::invalid_argument("axes is " + axes + "; allowed are enu, ned");
     ned_ = axes == "ned";
+    const auto output = declare_parameter<std::string>("output", "wrench");
+    if (output != "wrench" && output != "setpoints") {
+      throw std::invalid_argument("output is " + output + "; allowed are wrench, setpoints");
+    }
     const auto file = declare_parameter<std::string>("reference", "reference.csv");
     std::ifstream stream(file);
     if (!stream) throw std::invalid_argument("cannot read " + file);
@@ -27,7 +32,12 @@ class ControllerNode : public rclcpp::Node {
     const auto fin = declare_parameter<double>("fin", 0.0);
     const auto patience = declare_parameter<double>("patience", 1.0);
     controller_ = std::make_unique<Controller>(read_reference(stream), limits, period, fin, patience);
-    publisher_ = create_publisher<geometry_msgs::msg::WrenchStamped>("wrench", 10);
+    if (output == "setpoints") {
+      heading_ = create_publisher<std_msgs::msg::Float64>("heading", 10);
+      speed_ = create_publisher<std_msgs::msg::Float64>("speed", 10);
+    } else {
+      publisher_ = create_publisher<geometry_msgs::msg::WrenchStamped>("wrench", 10);
+    }
     subscription_ = create_subscription<nav_msgs::msg::Odometry>(
         "odometry", rclcpp::SensorDataQoS(), [this](const nav_msgs::msg::Odometry& message) { measured_ = message; });
     timer_ = create_wall_timer(std::chrono::duration<double>(period), [this] { step(); });
@@ -50,10 +60,19 @@ class ControllerNode : public rclcpp::Node {
     if (measured_) measurement = converted(*measured_);
     measured_.reset();
     Command command = controller_->step(measurement ? &*measurement : nullptr);
-    if (ned_) command = to_ned(command);
     if (controller_->status() == Status::stopped) {
       RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "no measurement: zero force");
     }
+    if (heading_) {
+      const Setpoints setpoints = controller_->setpoints();
+      std_msgs::msg::Float64 heading, speed;
+      heading.data = ned_ ? -setpoints.heading : setpoints.heading;
+      speed.data = setpoints.speed;
+      heading_->publish(heading);
+      speed_->publish(speed);
+      return;
+    }
+    if (ned_) command = to_ned(command);
     geometry_msgs::msg::WrenchStamped message;
     message.header.stamp = now();
     message.header.frame_id = "base_link";
@@ -66,6 +85,7 @@ class ControllerNode : public rclcpp::Node {
   std::optional<nav_msgs::msg::Odometry> measured_;  // since the last step
   std::unique_ptr<Controller> controller_;
   rclcpp::Publisher<geometry_msgs::msg::WrenchStamped>::SharedPtr publisher_;
+  rclcpp::Publisher<std_msgs::msg::Float64>::SharedPtr heading_, speed_;
   rclcpp::Subscription<nav_msgs::msg::Odometry>::SharedPtr subscription_;
   rclcpp::TimerBase::SharedPtr timer_;
 };

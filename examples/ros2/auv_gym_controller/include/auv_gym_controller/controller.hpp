@@ -26,6 +26,12 @@ struct Command {
   double F_u = 0.0, F_r = 0.0;
 };
 
+/// Heading [rad], counter-clockwise from the x axis of the reference, and surge speed [m/s], for a vehicle that takes
+/// setpoints and an agent that was trained for them, docs/setpoints.md.
+struct Setpoints {
+  double heading = 0.0, speed = 0.0;
+};
+
 /// `tracking`: computed from a new measurement. `repeated`: the last command, since the measurement is missing.
 /// `stopped`: zero, since measurements have been missing for too long. `finished`: zero, the reference has ended.
 enum class Status { tracking, repeated, stopped, finished };
@@ -90,6 +96,15 @@ class Controller {
 
   Status status() const { return status_; }
 
+  /// Returns the setpoints of the last command: the heading of the reference and speed 0 if the command is zero.
+  Setpoints setpoints() const {
+    constexpr double largest_turn = 1.5707963267948966;
+    const Row& now = reference_[k_ > reference_.size() ? reference_.size() - 1 : k_ - (k_ > 0)];
+    const bool moves = status_ == Status::tracking || status_ == Status::repeated;
+    const double speed = moves ? now[3] * (1.0 + command_.F_u / limits_.F_u) : 0.0;
+    return {now[2] + largest_turn * command_.F_r / moment_, speed};
+  }
+
  private:
   /// Control periods ahead at which `helm` sees the reference; for another agent see its header.
   static constexpr std::array<std::size_t, 4> PREVIEW = {5, 10, 20, 40};
@@ -122,7 +137,7 @@ class Controller {
     const Row& now = reference_[k];  // positions are relative to it: floats are too short for map coordinates
     const std::array<double, 6> measured = {m.x - now[0], m.y - now[1], m.psi, m.u, m.v, m.r};
     const std::array<double, 8> reference = {0.0, 0.0, now[2], now[3], now[4], now[5], now[6], now[7]};
-    const std::array<double, 3> setting = {limits_.F_u, largest_moment(m.u), period_};
+    const std::array<double, 3> setting = {limits_.F_u, moment_ = largest_moment(m.u), period_};
     auv_agent_view view = {};
     copy(measured, view.measured);
     copy(reference, view.reference);
@@ -149,7 +164,7 @@ class Controller {
 
   std::vector<Row> reference_;
   Command limits_, command_;
-  double period_, fin_, patience_, missing_ = 0.0, outage_ = 0.0;
+  double period_, fin_, patience_, moment_ = 1.0, missing_ = 0.0, outage_ = 0.0;
   std::array<double, 2> fix_ = {NAN, NAN};
   std::size_t k_ = 0;
   Status status_ = Status::tracking;
