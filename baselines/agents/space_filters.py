@@ -17,7 +17,8 @@ from baselines.estimation.sea_model import measurement, transition
 from baselines.policy import is_fast
 from baselines.space.kalman import SPACE_SEA, SpaceEstimate, measured_motion, reference_motion
 
-MEMORY_ENTRIES: tuple[str, ...] = tuple(name for name in SpaceEstimate._fields if name != "lag")
+_FIELDS: tuple[str, ...] = SpaceEstimate._fields
+MEMORY_ENTRIES = tuple(name for name in _FIELDS if name != "lag")
 """The entries of an estimate that are in a filter's memory."""
 FILTERS = 2  # number of filters
 _REMEMBERED = 8  # measurements in the memory: all but q and r

@@ -42,7 +42,8 @@ def video_file(scenario: Scenario, folder: Path) -> Path:
     from baselines.video import make_video
 
     policies = shown_policies(scenario.name)
-    options = {"seed": SEED, "size": (400 * len(policies), 400), "speed": SPEED, "seconds": SECONDS, "fps": 10}
+    size = (max(600, 400 * len(policies)), 400)
+    options = {"seed": SEED, "size": size, "speed": SPEED, "seconds": SECONDS, "fps": 10}
     record = json.dumps([scenario.to_dict(), policies, options])
     file = folder / f"{scenario.name}-{hashlib.sha256(record.encode()).hexdigest()[:12]}.webp"
     return file if file.exists() else make_video(file, policies, scenario.name, **options)
