@@ -17,13 +17,16 @@ help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record expert, MPC and agent as a video; in runs/demo
+demo: $(VENV)/demo.stamp ## recompute the paper, run every preset and a storm in space, record videos; in runs/demo
 	$(BIN)/python -m research paper --out runs/demo/paper
 	$(BIN)/python evaluate.py --suite presets --policy nmpc helm --out runs/demo/scenarios $(ARGS)
 	$(BIN)/python evaluate.py --policy nmpc helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
 	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --seed 15 \
 	  --size 720x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp
-	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the video, runs/demo/storm/video.webp'
+	$(BIN)/python evaluate.py --policy nmpc helm-3d --scenario space-storm --jobs 1 --out runs/demo/space $(ARGS)
+	$(BIN)/python -m baselines video --policy nmpc helm-3d --scenario space-storm --seed 13 \
+	  --size 560x400 --speed 6 --fps 8 --out runs/demo/space/video.webp
+	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the videos, runs/demo/s*/video.webp'
 
 # Of the twenty storms of an evaluation, the one whose errors are the most usual; in the plane and in space.
 video: $(VENV)/demo.stamp ## record expert, EKF + MPC and agent in two usual storms as videos, for the README

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -203,14 +204,29 @@ def test_velocities_that_do_not_change_are_ignored():
     assert out == [False] * 31 + [True] * 9
 
 
+@cache
+def compiled_step():
+    """Return the kernel of the filters: it takes a twentieth of the time of arrays."""
+
+    def equation(o, memory):
+        o = Observation(*o)
+        output, after = filters.filter_step(o, SYMBOLS.hypot(o.u_R, o.v_R), memory, SYMBOLS)
+        estimates = [x for z in output.estimates for name, x in z._asdict().items() if name != "lag"]
+        return {"estimates": estimates, "bias": output.bias, "levels": output.levels, "after": after}
+
+    return Kernel.traced(equation, {"o": len(Observation._fields), "memory": ROWS}, blocked=True)
+
+
 def outputs_in(scenario, steps=400, n=6):
     """Return true x, y errors and outputs of the filters while a law steers, for n episodes and some steps."""
     env = UnderactuatedAUVTrackVectorEnv(n, [scenario] * n)
-    law, memory, found = Backstepping(), [np.zeros(n)] * ROWS, []
+    law, memory, found = Backstepping(), np.zeros((ROWS, n)), []
     observation, _ = env.reset(seed=3)
     for _ in range(steps):
         o = decode_observation(observation.astype(float))
-        output, memory = filters.filter_step(o, np.hypot(o.u_R, o.v_R), memory, ARRAYS)
+        results = compiled_step()(o=np.array(o), memory=memory)
+        memory, estimates = results["after"], results["estimates"].reshape(len(LAGS), -1, n)
+        output = SimpleNamespace(estimates=estimates, bias=results["bias"], levels=results["levels"])
         true = env.pose[:, 0] - env.reference.x, env.pose[:, 1] - env.reference.y
         found.append((true, to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi), output))
         observation, *_ = env.step(law.predict(observation)[0])
