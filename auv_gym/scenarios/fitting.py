@@ -177,6 +177,8 @@ def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
             waves, surge=surge, sway=sway, yaw=yaw / units.length, most_yaw=min(waves.most_yaw, most)
         )  # yaw is of d33 U / (1 m)
     if scenario.vertical is not None:
+        if vehicle_model.surface:
+            raise ValueError(f"{vehicle_model.name} is a surface vessel: scenarios in space are for vehicles that dive")
         changes["vertical"] = scenario.vertical.scaled(units, vehicle_model.pitch)
     if actuators.fin:
         start = changes["start"]

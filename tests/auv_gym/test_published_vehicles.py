@@ -244,6 +244,7 @@ def test_vehicle_by_name_and_file(tmp_path, name):
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
+        ("space-calm@otter", "otter is a surface vessel: scenarios in space are for vehicles that dive"),
         ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, paper-2007, cybership2, .*lauv"),
         ("slow-storm@lauv", "speeds from 0.056 m/s, but the fins of this vehicle need at least 0.25 m/s"),
         ("storm@lauv", "unknown scenario 'storm@lauv'"),

@@ -46,11 +46,14 @@ class VehicleModel:
     shaft: Shaft | None = None  # propeller and rudder, for `auv_gym.envs.shaft.ShaftAction`
     sensors: NoiseLevels | None = None  # of its instruments, in place of those of scenarios; None: scaled ones
     pitch: Pitch = field(default=Pitch(), compare=False)  # the vertical plane; not in records of planar scenarios
+    surface: bool = field(default=False, compare=False)  # whether it is a surface vessel, which cannot dive
 
     def __post_init__(self) -> None:
         for name in ("name", "about", "source", "left_out", "assumed"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"vehicle {name} is {getattr(self, name)!r}; it must be a string")
+        if not isinstance(self.surface, bool):
+            raise ValueError(f"vehicle surface is {self.surface!r}; it must be true or false")
         check_number("vehicle slowest", self.slowest, 0, self.vehicle.speed)
         for name in ("turn_rate", "lag"):
             if getattr(self, name) is not None:
@@ -122,7 +125,10 @@ class VehicleModel:
 
 def model_from(record: Any, where: str) -> VehicleModel:
     """Return the vehicle model of a record, see `auv_gym.scenarios.records.from_record`."""
-    special = {"pitch": lambda part: part if isinstance(part, Pitch) else from_record(Pitch, part, "pitch")}
+    special: dict[str, Any] = {  # entries that are not in records
+        "pitch": lambda part: part if isinstance(part, Pitch) else from_record(Pitch, part, "pitch"),
+        "surface": lambda part: part,
+    }
     return from_record(VehicleModel, record, where, special)
 
 
