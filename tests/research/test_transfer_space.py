@@ -84,6 +84,18 @@ def test_drawn_vehicles_accelerate_alike_in_the_vertical_plane():
                 assert own[at(part)] == pytest.approx(known[at(part)], rel=0.05, abs=least)
 
 
+def test_the_lag_of_the_propeller_is_why_errors_of_prediction_grow():
+    """With a lag of 1 s the vehicle with five degrees of freedom has the errors of the one with six."""
+    policy, found = make_policy("nmpc", CALM.known), []
+    for lag, made in ((0.0, None), (1.0, None), (0.0, moved_by(lambda n: SixDofSimulator("remus100", n, IN_SPACE)))):
+        scenario = replace(CALM, actuators=replace(CALM.actuators, lag=lag))
+        episodes = drawn(scenario, 8, 5).episodes
+        found.append(np.median(rollout(policy, scenario, episodes, simulator=made).measures.steady_rmse))
+    five, lagging, six = found
+    assert five < 0.1 * six
+    assert lagging == pytest.approx(six, rel=0.3)
+
+
 def test_the_sentences_about_space_are_true():
     record = comparison.space_summary("remus100")
     predicting = {"ekf", "nmpc"}
