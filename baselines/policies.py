@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from auv_gym.physics.space import SpaceVehicle
@@ -11,12 +12,14 @@ from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy
+from baselines.agents.agent import Agent
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
 from baselines.agents.names import GUARD, PolicyName, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.scaling import scaled_for
 from baselines.space import SPACE_POLICIES, make_in_space
+from baselines.tools.files import read_json
 
 
 def list_policies(space: bool | None = False) -> dict[str, str]:
@@ -84,3 +87,27 @@ def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:
     """Return the known vehicle of all scenarios; None if they differ, since a policy is made for one vehicle."""
     first = scenarios[0].vehicle
     return first if all(scenario.vehicle == first for scenario in scenarios) else None
+
+
+def takes_setpoints(name: str) -> bool | None:
+    """Return whether a policy's actions are setpoints, see `Scenario.takes_setpoints`; None if it is not known.
+
+    Raises:
+        OSError: the file of an agent or of gains cannot be read.
+        ValueError: it is damaged.
+    """
+    base = PolicyName.of(name)
+    if base.folder is not None:
+        return Agent.load(base.folder).setpoints
+    known = read_json(Path(base.base)).get("controller", "") if base.kind == "gains" else base.base
+    return POLICIES[known].setpoints if known in POLICIES else None
+
+
+def check_actions(name: str, scenarios: Iterable[Scenario]) -> None:
+    """Raise ValueError if a policy gives forces and the actions of a scenario are setpoints, or the reverse."""
+    actions = takes_setpoints(name)
+    other = next((s.name for s in scenarios if actions not in (None, s.takes_setpoints)), None)
+    if other is not None:
+        kinds = ("setpoints", "forces") if actions else ("forces", "setpoints")
+        advice = "" if actions else "; los-setpoints gives setpoints"
+        raise ValueError("{0} gives {1}, the actions of {3} are {2}{4}".format(name, *kinds, other, advice))

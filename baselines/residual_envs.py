@@ -15,10 +15,12 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.space import SpaceVehicle
 from auv_gym.rendering import PICTURE
+from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.corrected import CorrectedPolicy
-from baselines.policies import make_policy
+from baselines.evaluation.score import expert_of
+from baselines.policies import check_actions, make_policy
 from baselines.policy import Privileged
 
 
@@ -27,7 +29,7 @@ def make_residual_env(
     vehicle: VehicleLike | None = None,
     control_dt: float | None = None,
     render_mode: str | None = None,
-    expert: Policy | str = "backstepping",
+    expert: Policy | str | None = None,
     authority: float | Sequence[float] = 0.5,
     render_size: Sequence[int] = PICTURE,
 ) -> gym.Env[Any, Any]:
@@ -39,7 +41,7 @@ def make_residual_env(
         control_dt: see `UnderactuatedAUVTrackEnv`.
         render_mode: see `UnderactuatedAUVTrackEnv`.
         expert: a policy, or the name of one, which is then made for the known vehicle; the observation has the preview
-            that it needs.
+            that it needs. None: `backstepping`, or `los-setpoints` if the actions of the scenario are setpoints.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
         render_size: see `UnderactuatedAUVTrackEnv`.
 
@@ -48,7 +50,7 @@ def make_residual_env(
         ValueError: scenario, vehicle, control period, render mode or size, expert or authority is invalid.
     """
     (scenario,) = scenarios_of(scenario, 1, vehicle, control_dt)
-    policy = _expert(expert, scenario.known)
+    policy = _expert(expert, scenario.known, [scenario])
     make = UnderactuatedAUVTrack3DEnv if scenario.vertical else UnderactuatedAUVTrackEnv
     env = make(scenario, render_mode=render_mode, preview=preview_of(policy), render_size=render_size)
     return ResidualAction(env, policy, authority)
@@ -64,7 +66,7 @@ def make_residual_vector_env(
     vehicle: VehicleLike | None = None,
     control_dt: float | None = None,
     *,
-    expert: Policy | str = "backstepping",
+    expert: Policy | str | None = None,
     authority: float | Sequence[float] = 0.5,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
@@ -75,7 +77,8 @@ def make_residual_vector_env(
         scenario: see `UnderactuatedAUVTrackVectorEnv`.
         vehicle: see `UnderactuatedAUVTrackVectorEnv`.
         control_dt: see `UnderactuatedAUVTrackVectorEnv`.
-        expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same.
+        expert: a policy, or the name of one, which is then made for the known vehicle, if all scenarios have the same;
+            None: see `make_residual_env`.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
         options: further options of `UnderactuatedAUVTrackVectorEnv`, without the preview, which is the expert's.
 
@@ -86,7 +89,7 @@ def make_residual_vector_env(
     """
     scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
     first = scenarios[0].known
-    policy = _expert(expert, first if all(one.known == first for one in scenarios) else None)
+    policy = _expert(expert, first if all(one.known == first for one in scenarios) else None, scenarios)
     make = UnderactuatedAUVTrack3DVectorEnv if scenarios[0].vertical else UnderactuatedAUVTrackVectorEnv
     env = make(num_envs, scenarios, preview=preview_of(policy), **options)
     return VectorResidualAction(env, policy, authority)
@@ -115,13 +118,19 @@ def make_residual_policy(
     return CorrectedPolicy(_expert(expert, vehicle), network, authority)
 
 
-def _expert(expert: Policy | str, vehicle: VehicleLike | SpaceVehicle | None) -> Policy:
+def _expert(
+    expert: Policy | str | None, vehicle: VehicleLike | SpaceVehicle | None, scenarios: Sequence[Scenario] = ()
+) -> Policy:
     """Return the expert of an environment.
 
     Raises:
         OSError: its file cannot be read.
-        ValueError: there is no such policy, it is no policy, or it needs more than the observation.
+        ValueError: there is no such policy, it is no policy, it needs more than the observation, or its actions are not
+            those of the scenarios.
     """
+    expert = expert_of(scenarios) if expert is None else expert
+    if isinstance(expert, str):
+        check_actions(expert, scenarios)
     policy = make_policy(expert, vehicle) if isinstance(expert, str) else expert
     if isinstance(policy, type) or not callable(getattr(policy, "predict", None)):
         raise ValueError(f"expert is {expert!r}; it must be the name of a policy, or an object with the method predict")

@@ -13,6 +13,9 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, vehicle_model_of
 from baselines.agents.agent import Agent
 from baselines.agents.names import PolicyName
+from baselines.control import POLICIES
+from baselines.control.open_loop import NO_EXPERT
+from baselines.policies import list_policies
 
 _FOSSEN = "fossen2021handbook"
 _SOURCES = {
@@ -44,16 +47,19 @@ def citation(policy: str | None = None, scenario: Scenario | str | None = None) 
     A published vehicle is named by the source of its numbers, in a comment.
 
     Args:
-        policy: its name or path, as in `make_policy`; of a policy of your own nothing is known.
+        policy: its name or path, as in `make_policy`; of a file of your own nothing is known.
         scenario: the scenario or its name, as in `gym.make`.
 
     Raises:
         OSError: the file of an agent or a scenario cannot be read.
-        ValueError: there is no such scenario, or the agent is damaged.
+        ValueError: there is no such policy or scenario, or the agent is damaged.
     """
+    task = None if scenario is None else as_scenario(scenario)
     keys = dict.fromkeys((*ALWAYS, *(() if policy is None else _of_policy(policy))))
+    if task is not None and task.takes_setpoints:
+        keys[_FOSSEN] = None
     parts = [entries()[key] for key in keys]
-    known = None if scenario is None else vehicle_model_of(as_scenario(scenario).known_plane)
+    known = None if task is None else vehicle_model_of(task.known_plane)
     if known is not None and known != PAPER:
         parts.append(f"% vehicle {known.name}: {known.source}")
     return "\n".join(parts)
@@ -61,7 +67,9 @@ def citation(policy: str | None = None, scenario: Scenario | str | None = None) 
 
 def _of_policy(policy: str) -> Iterator[str]:
     """Yield the keys of a policy's sources."""
-    name = PolicyName.of(policy)
+    name = PolicyName.of(policy) if isinstance(policy, str) else None
+    if name is None or (name.kind == "controller" and name.base not in (*POLICIES, NO_EXPERT)):
+        raise ValueError(f"unknown policy {policy!r}; allowed are {', '.join(list_policies(None))}, or a path")
     if name.folder is None:
         yield from _SOURCES.get(name.base, ())
         return

@@ -19,9 +19,16 @@ class Vehicle(Protocol):
 
 
 def serve(make: Callable[[dict[str, Any]], Vehicle]) -> None:
-    """Answer lines from the standard input until it ends, with vehicles that `make` makes for the greeting."""
+    """Answer lines from the standard input until it ends, with vehicles that `make` makes for the greeting.
+
+    A ValueError of `make` is answered as an error.
+    """
     hello = json.loads(sys.stdin.readline())
-    vehicles = [make(hello) for _ in range(hello["vehicles"])]
+    try:
+        vehicles = [make(hello) for _ in range(hello["vehicles"])]
+    except ValueError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        return
     print("{}", flush=True)
     for line in sys.stdin:
         question = json.loads(line)

@@ -28,6 +28,8 @@ class Remus:
 
     def __init__(self, hello: dict[str, Any]) -> None:
         """Make the vehicle for the greeting."""
+        if (hello["motion"], hello["name"]) != ("plane", "remus100"):
+            raise ValueError("this plant is the REMUS 100 in the plane; choose a scenario such as cruise-calm@remus100")
         self.eps = hello["vehicle"]["eps"]
 
     def place(self, state: dict[str, float]) -> None:

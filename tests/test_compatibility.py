@@ -47,7 +47,7 @@ def present():
             model.name: [[term.name, term.unit, term.scale, term.bound] for term in model.layout.terms]
             for model in (PLANE, SPACE)
         },
-        "actions": {model.name: list(model.channels) for model in (PLANE, SPACE)},
+        "actions": {model.name: [[channel] for channel in model.channels] for model in (PLANE, SPACE)},
         "auv_gym": sorted(auv_gym.__all__),
         "baselines": sorted(baselines.__all__),
         "policies": sorted({*list_policies(None), *(name for name, entry in POLICIES.items() if entry.setpoints)}),
@@ -66,7 +66,10 @@ def present():
 
 
 def lost(before, now, where=""):
-    """Yield what is missing or different: entries of tables and of lists of names; other values must be equal."""
+    """Yield what is missing or different: entries of tables and of lists of names; other values must be equal.
+
+    In a list of lists also the order counts.
+    """
     if isinstance(before, dict) and isinstance(now, dict):
         for key, value in before.items():
             yield from lost(value, now.get(key), f"{where}/{key}")

@@ -92,7 +92,7 @@ class Autopilot(Effect):
     autopilots use the measurements of the control instant. Their gains are for the true vehicle, as a maker sets them.
     """
 
-    heading: Annotated[Interval, "1/s", 0.0, 1e3, "lambda of the sliding surfaces; 0: no autopilot"] = 0.8
+    heading: Annotated[Interval, "1/s", 1e-9, 1e3, "lambda of the sliding surfaces"] = 0.8
     damping: Annotated[Interval, "1/s", 0.0, 1e3, "rate at which the distance to the surface decays"] = 2.0
     model: Annotated[Interval, "1/s", 0.0, 1e3, "natural frequency of the reference model of the heading"] = 2.0
     turn: Annotated[Interval, "1/s", 0.0, 1e3, "largest turn rate of the reference model [rad/s]"] = 0.5

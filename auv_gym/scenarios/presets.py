@@ -23,7 +23,7 @@ from auv_gym.scenarios.vertical import Vertical
 
 __all__ = [
     "CASES", "PAPER_SCENARIO", "PRESETS", "SETPOINTS", "SPACE_PRESETS", "SPEED_RANGES", "as_scenario", "is_preset",
-    "list_scenarios", "with_setpoints",
+    "list_scenarios", "preset_names", "with_setpoints",
 ]  # fmt: skip
 
 
@@ -141,6 +141,11 @@ def list_scenarios() -> list[str]:
     return [*PRESETS, *SPACE_PRESETS]
 
 
+def preset_names() -> list[str]:
+    """Return the names of the presets, without and with `SETPOINTS`."""
+    return [f"{name}{suffix}" for suffix in ("", SETPOINTS) for name in list_scenarios()]
+
+
 def with_setpoints(scenario: Scenario) -> Scenario:
     """Return a scenario of the paper's vehicle whose actions are setpoints of an `Autopilot` with its usual gains."""
     return replace(scenario, name=f"{scenario.name}{SETPOINTS}", effects=(*scenario.effects, Autopilot()))
@@ -154,7 +159,8 @@ def is_preset(name: str) -> bool:
 def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any]) -> Scenario:
     """Return the scenario for an object, the name of a preset, a .toml or .json file, or a dict.
 
-    PRESET@VEHICLE is a preset for another vehicle, see `fitting.changed`; in PRESET-setpoints actions are setpoints.
+    PRESET@VEHICLE and FILE@VEHICLE are scenarios for another vehicle, see `fitting.changed`; in PRESET-setpoints
+    actions are setpoints.
 
     Raises:
         OSError: the file cannot be read.
@@ -169,10 +175,12 @@ def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any])
         name, at, vehicle = scenario.partition("@")
         preset = presets[name.removesuffix(SETPOINTS)]
         return changed(with_setpoints(preset) if name.endswith(SETPOINTS) else preset, vehicle if at else None)
+    if isinstance(scenario, str) and (file := table_file(scenario.partition("@")[0])) is not None and "@" in scenario:
+        return changed(Scenario.load(file), scenario.partition("@")[2])
     if (file := table_file(scenario)) is not None:
         return Scenario.load(file)
     allowed = (
-        f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(presets)}, optionally with a vehicle, such "
-        "as cruise-storm@lauv"
+        f"a Scenario, a dict, a .toml or .json file, or one of {', '.join(presets)}, optionally with {SETPOINTS} and "
+        f"with a vehicle, such as cruise-storm@lauv or cruise-storm{SETPOINTS}@lauv"
     )
-    raise ValueError(f"unknown scenario {scenario!r}{meant(scenario, presets)}; allowed are {allowed}")
+    raise ValueError(f"unknown scenario {scenario!r}{meant(scenario, preset_names())}; allowed are {allowed}")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import SETPOINTS
 from auv_gym.scenarios.records import from_record, guarded, to_record
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle
 from auv_gym.task.policy import Policy, checked_authority
@@ -102,6 +103,13 @@ class Agent:
         speeds = _SPEEDS[ranges.pop()] if len(ranges) == 1 and ranges <= set(_SPEEDS) else (0.0, math.inf)
         network = self.network, self.weights, self.authority
         return ResidualPolicy(expert, *network, self.inputs, precision, speeds, known)
+
+    @property
+    def setpoints(self) -> bool:
+        """Whether its commands are setpoints: those of its expert, without one those of its training scenarios."""
+        if self.expert != NO_EXPERT:
+            return self.expert in POLICIES and POLICIES[self.expert].setpoints
+        return any(name.partition("@")[0].endswith(SETPOINTS) for name in self.scenarios)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder and replace an older one; the folder is never incomplete.

@@ -10,7 +10,7 @@ from baselines.control.open_loop import NO_EXPERT
 CURVE_FILE = "learning_curve.png"  # file beside the card
 _TEXT = """# {name}
 
-A network that {role}, by at most {surge:g} of the surge limit and {yaw:g} of the {turn} limit. It controls the
+A network that {role}, by at most {surge:g} of the range in surge and {yaw:g} of that in {turn}. It controls the
 underactuated vehicle of `auv_gym` along a reference from noisy measurements.
 
 | | |

@@ -88,6 +88,7 @@ def results_json(
         "suite": request.suite,
         "suite_hash": request.hash,
         "seed": request.options.seed,
+        "plant": request.options.plant,
         "versions": versions(),
         "results": [
             {

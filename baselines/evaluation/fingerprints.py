@@ -142,9 +142,10 @@ def _data(name: PolicyName, in_space: bool = False) -> list[str | bytes]:
 
 
 def _program(command: str) -> list[str | bytes]:
-    """Return the words of a command, and the files that they name."""
+    """Return the words of a command, and the files that they name; with those that a Python file imports beside it."""
     words = shlex.split(command)
-    return [*words, *(part for file in files_of(words) for part in (str(file), file.read_bytes()))]
+    files = (one for file in files_of(words) for one in (_with_neighbours(file) if file.suffix == ".py" else [file]))
+    return [*words, *(part for file in files for part in (str(file), file.read_bytes()))]
 
 
 def _used(policy: str, data: str, scenario: Scenario) -> tuple[frozenset[str], bool]:

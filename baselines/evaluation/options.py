@@ -58,4 +58,4 @@ class Options:
     resume: bool = False
     """Use the finished runs of an interrupted evaluation in the folder. A run is repeated if the policy's file or the
     simulator has changed since, or if it was too slow for --step-limit. Of what a policy's file imports, files beside
-    it are checked; of a program, the files that its command names."""
+    it are checked; of a program, the files that its command names, with those that they import from beside them."""

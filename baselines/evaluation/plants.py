@@ -95,7 +95,8 @@ class PlantVehicles:
                 self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
             )
             observation = self.parts.model.layout.encode(terms, ARRAYS, self.parts.bound_factor)
-        self.outcome[:] = Outcome(reward, failed, np.sqrt(squared), saturated)
+        error = np.where(np.isfinite(squared), np.sqrt(squared), p.lost_distance)  # a state of null is a failed vehicle
+        self.outcome[:] = Outcome(np.where(np.isfinite(squared), reward, 0.0), failed, error, saturated)
         self.now = Side(np.stack(plant_row(plant)), np.asarray(observation))
 
     def undo(self) -> None:
@@ -194,6 +195,7 @@ def greeting(scenario: Scenario, n: int, seed: int) -> dict[str, Any]:
     return {
         "auv_gym": PROTOCOL,
         "motion": model.name,
+        "name": scenario.model.name if scenario.model else "",
         "vehicles": n,
         "dt": scenario.control_dt,
         "seed": seed,

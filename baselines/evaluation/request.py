@@ -13,14 +13,13 @@ from typing import Any
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.missions import mission_scenario, read_mission
-from auv_gym.scenarios.presets import PRESETS, SETPOINTS, SPACE_PRESETS, as_scenario, is_preset
+from auv_gym.scenarios.mixtures import MIXTURES
+from auv_gym.scenarios.presets import PRESETS, SETPOINTS, as_scenario, is_preset, list_scenarios, preset_names
 from auv_gym.scenarios.records import meant, table_file
 from auv_gym.scenarios.scenario import Scenario
-from baselines.agents.agent import Agent
 from baselines.agents.loading import caution, load_effects
-from baselines.agents.names import PolicyName, agent_folder
+from baselines.agents.names import agent_folder
 from baselines.control import POLICIES
-from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.cells import Cell, drawn
 from baselines.evaluation.options import Options
 from baselines.evaluation.plants import PlantCommand, checked_plant
@@ -29,9 +28,8 @@ from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import OPTIMUM_POLICY, expert_of, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
-from baselines.policies import list_policies, make_policy
+from baselines.policies import check_actions, list_policies, make_policy
 from baselines.tools.command_line import UsageError, checked, checked_folder, printable
-from baselines.tools.files import read_json
 from baselines.tools.workers import Workers
 
 DRAWN_SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
@@ -205,11 +203,12 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     """
     if is_preset(name):
         return checked(partial(as_scenario, name))
-    if table_file(name) is None:
-        known = *others, *PRESETS, *SPACE_PRESETS
+    if table_file(name.partition("@")[0]) is None:
+        known = *others, *list_scenarios()
+        hint = "" if name.removesuffix(SETPOINTS) in MIXTURES else meant(name, (*others, *preset_names()))
         raise UsageError(
-            f"unknown scenario {name!r}{meant(name, known)}; allowed are a .toml or .json file, or one of "
-            + ", ".join(known)
+            f"unknown scenario {name!r}{hint}; allowed are a .toml or .json file, or one of {', '.join(known)}; "
+            f"a preset may end in {SETPOINTS}, and @ and a vehicle may follow"
         )
     scenario = checked(partial(as_scenario, name))
     if scenario.name != printable(scenario.name):
@@ -225,19 +224,6 @@ def seeds_of(name: str) -> tuple[str, ...]:
     return tuple(sorted((str(one.parents[1]) for one in agents), key=lambda one: (len(one), one)))
 
 
-def takes_setpoints(name: str) -> bool | None:
-    """Return whether a policy's actions are setpoints, see `Scenario.takes_setpoints`; None if it is not known."""
-    base = PolicyName.of(name)
-    if base.kind == "gains":
-        base = PolicyName(read_json(Path(base.base)).get("controller", ""))
-    elif base.folder is not None:
-        agent = Agent.load(base.folder)
-        if agent.expert == NO_EXPERT:
-            return any(one.partition("@")[0].endswith(SETPOINTS) for one in agent.scenarios)
-        base = PolicyName(agent.expert)
-    return POLICIES[base.base].setpoints if base.base in POLICIES else None
-
-
 def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -> tuple[str, ...]:
     """Return the names of policies without repetitions, and check that each policy can be made.
 
@@ -248,17 +234,13 @@ def checked_policies(names: Sequence[str], scenarios: Sequence[Scenario] = ()) -
     Raises:
         UsageError: a policy cannot be made.
     """
-    interfaces = {scenario.takes_setpoints: scenario.name for scenario in scenarios}
     space = dict.fromkeys(scenario.known for scenario in scenarios if scenario.vertical)
     in_plane = not scenarios or any(scenario.vertical is None for scenario in scenarios)
     vehicles: list[Any] = [*space, *([PAPER_VEHICLE] if in_plane else [])]
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
-        actions = takes_setpoints(name)
-        if actions is not None and (other := interfaces.get(not actions)) is not None:
-            kinds = ("forces", "setpoints")[:: 1 if actions else -1]
-            raise UsageError("actions of {2} are {0}, the policy {3} gives {1}".format(*kinds, other, name))
+        checked(partial(check_actions, name, scenarios))
         for vehicle in vehicles:  # a factory may require one
             if vehicle is not PAPER_VEHICLE or name not in list_policies():
                 checked(partial(make_policy, name, vehicle))

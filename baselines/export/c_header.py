@@ -174,7 +174,7 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         "setting": ", ".join(agent.setting),
         "velocities": ", ".join(model.velocity),
         "actuators": "surge and yaw" if len(model.channels) == 2 else "surge, pitch and yaw",
-        "forces": ", ".join(f"F_{c} = command[{i}] F_{c}_max" for i, c in enumerate(model.channels)),
+        "forces": agent.meaning,
         "ahead": ahead,
         "largest": f"{LARGEST:g}",
     }

@@ -15,6 +15,7 @@ from typing import Any, cast
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
+from auv_gym.effects.autopilot import LARGEST_RISE
 from auv_gym.physics.space import SpaceVehicle
 from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -106,6 +107,18 @@ class Exported:
         return {name: self.see.results[name] for name in ("integrals", "features", "base")}
 
     @property
+    def meaning(self) -> str:
+        """What the command means: forces, or setpoints of `auv_gym.effects.autopilot`."""
+        if not self.agent.setpoints:
+            return ", ".join(f"F_{c} = command[{i}] F_{c}_max" for i, c in enumerate(self.model.channels))
+        said = {
+            "u": "surge speed u_R (1 + command[{}]) [m/s]",
+            "q": f"depth: that of the reference plus {LARGEST_RISE:g} s u_R command[{{}}]",
+            "r": "heading psi_R + pi/2 command[{}] [rad]",
+        }
+        return "setpoints: " + ", ".join(said[c].format(i) for i, c in enumerate(self.model.channels))
+
+    @property
     def periods(self) -> tuple[float, ...]:
         """Control periods [s] of the scenarios on which the agent was trained."""
         known, plane = PRESETS | SPACE_PRESETS, getattr(self.vehicle, "horizontal", self.vehicle)
@@ -118,6 +131,7 @@ class Exported:
         return {
             "name": self.name,
             "expert": self.agent.expert,
+            "command": self.meaning,
             "authority": ", ".join(f"{a:g}" for a in self.agent.authority),
             "observation": "; ".join(self.columns),
             "control_period_s": ", ".join(f"{dt:g}" for dt in self.periods),

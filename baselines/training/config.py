@@ -16,8 +16,9 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.agent import make_expert
+from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.score import EXPERT
-from baselines.policies import common_vehicle
+from baselines.policies import check_actions, common_vehicle
 from baselines.tools.seeds import TRAINING
 
 ALGORITHMS: Mapping[str, str] = {
@@ -75,6 +76,8 @@ class Config:
             json.dumps(dict(self.hyperparameters), allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ValueError(f"the hyper-parameters must be numbers, strings, lists and tables: {error}") from error
+        if self.expert != NO_EXPERT:
+            check_actions(self.expert, [scenario for scenario, _ in self.scenarios])
         self.make_expert()
 
     def make_expert(self) -> Policy:

@@ -36,6 +36,9 @@ def main(words: Sequence[str]) -> int:
     if vehicle not in models:
         print(json.dumps({"error": f"there is no {vehicle} with motion in {hello['motion']}"}), flush=True)
         return 1
+    if hello["name"] not in ("", vehicle):
+        print(json.dumps({"error": f"the scenario is for {hello['name']}, this plant is {vehicle}"}), flush=True)
+        return 1
     simulator = SixDofSimulator(vehicle, hello["vehicles"], models)
     print("{}", flush=True)
     for line in sys.stdin:

@@ -16,10 +16,11 @@ from auv_gym.planning.paths.space import Climb, WithHeight
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.cells import drawn
-from baselines.evaluation.request import checked_policies, takes_setpoints
+from baselines.evaluation.request import checked_policies
 from baselines.evaluation.rollout import rollout
-from baselines.policies import make_policy
+from baselines.policies import make_policy, takes_setpoints
 from baselines.tools.command_line import UsageError
+from baselines.training.config import Config
 
 REMUS = as_scenario("cruise-calm-setpoints@remus100")
 SPEED = 1.0
@@ -91,10 +92,12 @@ def test_a_file_has_the_autopilot_and_a_vehicle_scales_it(tmp_path):
     assert Scenario.load(file) == scenario
     assert scenario.takes_setpoints
     assert not Scenario().takes_setpoints
+    assert as_scenario(f"{file}@lauv").effects[0].heading != own.heading
     time = REMUS.effects[0].heading / Autopilot().heading
     assert REMUS.effects[0].turn == pytest.approx(Autopilot().turn * time)
-    with pytest.raises(ValueError, match="autopilot heading is -1"):
-        Autopilot(heading=-1)
+    for wrong in (-1, 0):
+        with pytest.raises(ValueError, match=f"autopilot heading is {wrong}"):
+            Autopilot(heading=wrong)
 
 
 @pytest.mark.parametrize("name", ["cruise-storm-setpoints@remus100", "space-storm-setpoints@lauv"])
@@ -108,7 +111,7 @@ def test_guidance_follows_a_storm_by_setpoints(name):
 def test_the_residual_of_zero_is_the_guidance():
     scenario, env_id = as_scenario("cruise-storm-setpoints"), "auv_gym:UnderactuatedAUVTrackResidual-v0"
     law = make_policy("los-setpoints")
-    env = gym.make(env_id, scenario=scenario, expert=law, authority=0.2)
+    env = gym.make(env_id, scenario=scenario, authority=0.2)
     plain = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=scenario)
     seen, one = env.reset(seed=1)[0], plain.reset(seed=1)[0]
     for _ in range(40):
@@ -122,9 +125,15 @@ def test_policies_and_scenarios_must_have_the_same_actions(tmp_path):
     assert (takes_setpoints("los-setpoints"), takes_setpoints("helm"), takes_setpoints("nmpc")) == (True, False, False)
     (tmp_path / "gains.json").write_text('{"controller": "los-setpoints"}')
     assert takes_setpoints(str(tmp_path / "gains.json"))
-    with pytest.raises(UsageError, match="of cruise-calm-setpoints are setpoints, the policy los-pid gives forces"):
+    with pytest.raises(UsageError, match="los-pid gives forces, the actions of cruise-calm-setpoints are setpoints"):
         checked_policies(["los-pid"], [scenario])
-    with pytest.raises(UsageError, match="of cruise-calm are forces, the policy los-setpoints gives setpoints"):
+    with pytest.raises(ValueError, match="nmpc gives forces, the actions of cruise-calm-setpoints are setpoints"):
+        gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario=scenario, expert="nmpc")
+    with pytest.raises(ValueError, match="backstepping gives forces"):
+        Config(scenarios=((scenario, 1.0),))
+    with pytest.raises(ValueError, match="did you mean 'cruise-storm-setpoints'"):
+        as_scenario("cruise-strom-setpoints")
+    with pytest.raises(UsageError, match=r"los-setpoints gives setpoints, the actions of cruise-calm are forces$"):
         checked_policies(["los-setpoints"], [as_scenario("cruise-calm")])
     clairvoyant = make_policy("clairvoyant")
     with pytest.raises(ValueError, match="does not include the effect 'autopilot'"):

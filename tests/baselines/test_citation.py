@@ -34,8 +34,12 @@ def test_controllers_agents_and_vehicles_have_their_sources():
     assert keys(citation("helm"))[2:] == keys(citation("mine.py:Law"))[2:] == []
     assert citation(scenario="cruise-calm@lauv").splitlines()[-1].startswith("% vehicle lauv: uuvsimulator/lauv_gazebo")
     assert "%" not in citation(scenario="cruise-calm")
+    assert keys(citation("mine.py:Law", "cruise-calm-setpoints"))[2:] == ["fossen2021handbook"]
     with pytest.raises(ValueError, match="unknown scenario"):
         citation(scenario="nothing")
+    for wrong in ("los-pd", "", 3):
+        with pytest.raises(ValueError, match="unknown policy"):
+            citation(wrong)
 
 
 def test_every_entry_is_complete():

@@ -17,6 +17,7 @@ from baselines.evaluation.cells import drawn
 from baselines.evaluation.command import main
 from baselines.evaluation.fingerprints import simulator_fingerprint
 from baselines.evaluation.plants import PlantCommand, checked_plant, moved_by
+from baselines.evaluation.report.numbers import compare
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import runs
 from baselines.policies import make_policy
@@ -134,6 +135,9 @@ def test_a_plant_that_ends_only_affects_its_row_and_a_lost_vehicle_is_lost():
     lost = program(ECHO + "    if answer and k > 50: answer['states'] = [[None] * 6] * len(rows)\n" + TELL)
     (run,) = runs([("los-pid", cell)], plant=checked_plant(lost, [cell.scenario]))
     assert run.measures.failed.all()
+    assert np.isfinite(run.measures.steady_rmse).all()
+    assert np.isfinite(run.measures.total_reward).all()
+    assert compare([run])[0].entry.failed == 2
 
 
 def test_the_greeting_and_the_number_of_vehicles_at_once():
@@ -160,12 +164,21 @@ def test_evaluate_with_a_plant(capsys):
     words = ["--plant", name, "--scenario", "cruise-calm@remus100", "--episodes", "2", "--jobs", "1", "--out", "out"]
     assert main(["--policy", "los-pid", *words]) == 0
     assert f"the vehicles are moved by {name}" in capsys.readouterr().err
-    results = json.loads(Path("out/results.json").read_text())["results"]
+    content = json.loads(Path("out/results.json").read_text())
+    results = content["results"]
+    assert content["plant"] == name
     assert {row["policy"] for row in results} == {"backstepping", "los-pid"}
     with pytest.raises(UsageError, match="clairvoyant needs the equations of motion"):
         main(["--policy", "clairvoyant", *words])
     Path("a.py").write_text("1")
     scenarios = [PRESETS["cruise-calm"]]
     plain, one = (simulator_fingerprint(scenarios, plant) for plant in (None, "python a.py"))
-    Path("a.py").write_text("2")
-    assert len({plain, one, simulator_fingerprint(scenarios, "python a.py")}) == 3
+    Path("a.py").write_text("import b")
+    two = simulator_fingerprint(scenarios, "python a.py")
+    Path("b.py").write_text("1")
+    assert len({plain, one, two, simulator_fingerprint(scenarios, "python a.py")}) == 4
+
+
+def test_a_plant_for_another_vehicle_refuses():
+    with pytest.raises(ProgramError, match="the scenario is for lauv, this plant is remus100"):
+        checked_plant(f"cmd:{SIX_DOF}", [as_scenario("cruise-calm@lauv")])
