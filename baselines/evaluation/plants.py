@@ -183,7 +183,10 @@ class ProgramPlant:
     def _table(self, name: str, rows: Any, columns: int) -> Array:
         """Return rows of numbers as an array, shape (columns, n); null becomes nan."""
         with guarded(f"its {name}"):
-            table = np.array(rows, dtype=np.float64)
+            table = np.array(rows)
+            if table.dtype.kind not in "ifO":  # numbers, or numbers and null
+                raise TypeError(f"{cut(str(rows))} has entries that are no numbers")
+            table = table.astype(np.float64)
         if table.shape != (self._n, columns):
             raise ProgramError(f"its {name} have shape {table.shape}; it must be ({self._n}, {columns})")
         return table.T

@@ -146,7 +146,7 @@ class SeedTraining(NamedTuple):
 
 
 SEED_TRAININGS: Mapping[str, SeedTraining] = {
-    "helm": SeedTraining(SHIPPED_TRAININGS["helm"], 3),
+    "helm": SeedTraining(SHIPPED_TRAININGS["helm"], 5),
     "helm-any": SeedTraining(SHIPPED_TRAININGS["helm-any"], 3, ("benchmark-v3", "vehicles-v3")),
     "helm-3d": SeedTraining(SHIPPED_TRAININGS["helm-3d"], 3, ("space-v1",)),
 }

@@ -109,7 +109,7 @@ WRONG = {
     "unknown entry": (ECHO.replace('"{}"', "'{\"dt\": 0}'"), "greeting has the entry 'dt'"),
     "states": (ECHO + "    answer = {'states': [[1.0]]}\n" + TELL, r"to new states; it must be \{\}"),
     "shape": (ECHO + "    answer and answer.update(states=[[1.0]])\n" + TELL, r"shape \(1, 1\); it must be \(1, 6\)"),
-    "no number": (ECHO + "    answer and answer.update(states=[['a'] * 6])\n" + TELL, "its states"),
+    "text": (ECHO + "    answer and answer.update(states=[['0'] * 6])\n" + TELL, "entries that are no numbers"),
     "no states": (
         ECHO + "    answer = {} if 'place' in question else {'forces': []}\n" + TELL,
         r"it answers \['forces'\]",

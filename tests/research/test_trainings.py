@@ -90,7 +90,7 @@ def test_agents_of_the_study_run_on_the_cells_of_the_suite(tmp_path, monkeypatch
     suite = Suite("benchmark-v3", "its hash", cells, ())
 
     def train(request):
-        assert len(request.folders) == 3
+        assert len(request.folders) == 5
         for folder in request.folders:
             agent_of_zeros().save(folder / AGENT_FOLDER)
         return DONE
