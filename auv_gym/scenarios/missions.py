@@ -145,8 +145,9 @@ def _in_space(path: Legs, mission: Mission, radius: float) -> tuple[WithHeight, 
     times = path.arrivals.tolist()
     if len(times) != len(mission.depths):
         raise ValueError("two waypoints are at one place with depths of their own; a vehicle cannot dive on the spot")
-    if (least := min(mission.depths)) < 0:
-        raise ValueError(f"a depth is {least:.4g} m; depths are positive below the surface")
+    for number, depth in enumerate(mission.depths, 1):
+        if depth < 0:
+            raise ValueError(f"waypoint {number} has the depth {depth:.4g} m; depths are positive below the surface")
     blend = min(radius / max(path.speeds or (path.speed,)), 0.5 * min(np.diff(times)))
     heights = tuple(-depth for depth in mission.depths)
     return WithHeight(path, Through(times, heights, float(blend))), Vertical()

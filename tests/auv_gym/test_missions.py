@@ -241,7 +241,7 @@ def test_a_vehicle_dives_to_the_depths_of_a_mission(tmp_path):
 @pytest.mark.parametrize(
     ("points", "depths", "vehicle", "message"),
     [
-        (((0, 0), (60, 0)), (5, -1), None, "a depth is -1 m; depths are positive below the surface"),
+        (((0, 0), (60, 0)), (5, -1), None, "waypoint 2 has the depth -1 m; depths are positive below the surface"),
         (((0, 0), (60, 0), (60, 0), (60, 60)), (5, 5, 9, 9), None, "cannot dive on the spot"),
         (((0, 0), (60, 0)), (5, 59), "remus100", "the pitch|a climb"),
     ],
