@@ -108,6 +108,6 @@ def check_actions(name: str, scenarios: Iterable[Scenario]) -> None:
     actions = takes_setpoints(name)
     other = next((s.name for s in scenarios if actions not in (None, s.takes_setpoints)), None)
     if other is not None:
-        kinds = ("setpoints", "forces") if actions else ("forces", "setpoints")
+        given, needed = ("setpoints", "forces") if actions else ("forces", "setpoints")
         advice = "" if actions else "; los-setpoints gives setpoints"
-        raise ValueError("{0} gives {1}, the actions of {3} are {2}{4}".format(name, *kinds, other, advice))
+        raise ValueError(f"{name} gives {given}, the actions of {other} are {needed}{advice}")

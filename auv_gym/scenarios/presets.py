@@ -171,12 +171,13 @@ def as_scenario(scenario: Scenario | str | os.PathLike[str] | Mapping[str, Any])
     if isinstance(scenario, Mapping):
         return Scenario.from_dict(scenario)
     presets = PRESETS | SPACE_PRESETS
-    if isinstance(scenario, str) and is_preset(scenario):
+    if isinstance(scenario, str):
         name, at, vehicle = scenario.partition("@")
-        preset = presets[name.removesuffix(SETPOINTS)]
-        return changed(with_setpoints(preset) if name.endswith(SETPOINTS) else preset, vehicle if at else None)
-    if isinstance(scenario, str) and (file := table_file(scenario.partition("@")[0])) is not None and "@" in scenario:
-        return changed(Scenario.load(file), scenario.partition("@")[2])
+        if is_preset(name):
+            preset = presets[name.removesuffix(SETPOINTS)]
+            return changed(with_setpoints(preset) if name.endswith(SETPOINTS) else preset, vehicle if at else None)
+        if at and (file := table_file(name)) is not None:
+            return changed(Scenario.load(file), vehicle)
     if (file := table_file(scenario)) is not None:
         return Scenario.load(file)
     allowed = (

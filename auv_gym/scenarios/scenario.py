@@ -221,6 +221,11 @@ class Scenario:
         return self.model if self.model is not None and self.model.vehicle == self.vehicle else self.vehicle
 
     @property
+    def bare(self) -> Vehicle | SpaceVehicle:
+        """The known vehicle without its actuators."""
+        return self.vehicle if self.vertical is None else self.vertical.vehicle(self)
+
+    @property
     def duration(self) -> float:
         """Length of an episode [s]."""
         return self.steps * self.control_dt

@@ -35,7 +35,7 @@ class Plant(Protocol):
         Args:
             indices: of the vehicles.
             states: rows of `Model.state`, shape (states, n); velocities are relative to the water.
-            true: coefficients of the vehicles with their model errors, rows of shape (n,), see `coefficient_names`.
+            true: coefficients of the vehicles with their model errors, numbers or rows of shape (n,).
         """
 
     def advance(self, inputs: Array, dt: float) -> tuple[Array, Array]:
@@ -194,7 +194,7 @@ class ProgramPlant:
 
 def greeting(scenario: Scenario, n: int, seed: int) -> dict[str, Any]:
     """Return the first message to a plant."""
-    model, known = scenario.parts.model, _known(scenario)
+    model, known = scenario.parts.model, scenario.bare
     return {
         "auv_gym": PROTOCOL,
         "motion": model.name,
@@ -209,10 +209,6 @@ def greeting(scenario: Scenario, n: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _known(scenario: Scenario) -> Any:
-    return scenario.vertical.vehicle(scenario) if scenario.vertical else scenario.vehicle
-
-
 def checked_plant(name: str, scenarios: Iterable[Scenario]) -> PlantCommand:
     """Return the program of `--plant` after one step of a vehicle at rest in each kind of scenario.
 
@@ -224,7 +220,7 @@ def checked_plant(name: str, scenarios: Iterable[Scenario]) -> PlantCommand:
     command, most = name.removeprefix(COMMAND), list[int]()
     for scenario in {(s.parts.model, s.control_dt): s for s in scenarios}.values():
         plant, model = ProgramPlant(command, scenario, 1, 0), scenario.parts.model
-        plant.place(np.arange(1), np.zeros((len(model.state), 1)), _known(scenario).coefficients)
+        plant.place(np.arange(1), np.zeros((len(model.state), 1)), scenario.bare.coefficients)
         plant.advance(np.zeros((len(input_names(model)), 1)), scenario.control_dt)
         most.append(plant.most)
     return PlantCommand(command, min(most))

@@ -183,7 +183,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
         initial.check(options.expert, options.authority, changes)
         values = {**initial.config.hyperparameters, **values}
         expert, authority = initial.agent.expert, initial.agent.authority
-    if not initial:
+    else:
         expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle and usual == EXPERT else usual)
     first = Config(
         options.algo,
