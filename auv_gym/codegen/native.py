@@ -45,7 +45,9 @@ vehicles are marked as parallel."""
 TUNING_FLAGS = ("-march=native", "-fno-ivopts")
 """Flags for this processor, and without a slow search for loop counters by gcc; left out if a compiler refuses them."""
 _PATIENCE = 60.0
-"""Time limit of a compiler [s]."""
+"""Time limit of a compiler [s] for a short source."""
+_SLOWEST = 2e3
+"""Speed of a compiler on a busy machine [characters/s], for the time limit of a longer source."""
 _TRIAL = "#include <math.h>\n#include <stdint.h>\ndouble auv_trial(double x) { return floor(x); }\n"
 """Source that a compiler must be able to build before it is used."""
 _SYSCTL = "/usr/sbin/sysctl"  # prints the name of the processor on macOS
@@ -146,8 +148,8 @@ def _library(
                 if identity != _TRIAL and not _refused:
                     _announce()
                 return _built(command, source(), file, flags), "".join(reasons[:1])
-        except subprocess.SubprocessError as error:
-            reasons.append(f"{command}: {_reason(error)}")
+        except subprocess.SubprocessError as error:  # no matter of the folder
+            return None, f"{command}: {_reason(error)}"
         except OSError as error:
             _refused[folder] = f"compiled code cannot be kept in {folder}: {_reason(error)}"
         if folder in _refused:
@@ -205,17 +207,18 @@ def _built(command: str, source: str, file: Path, flags: tuple[str, ...]) -> cty
 
 def _compile(command: str, source: str, made: Path, flags: tuple[str, ...]) -> None:
     words = [*shlex.split(command), *flags, "-x", "c", "-", "-o", str(made), "-lm"]
-    _run(words, input=source.encode(), env={**os.environ, "TMPDIR": str(made.parent)})
+    patience = _PATIENCE + len(source) / _SLOWEST
+    _run(words, patience, input=source.encode(), env={**os.environ, "TMPDIR": str(made.parent)})
 
 
-def _run(words: list[str], **options: Any) -> bytes:
+def _run(words: list[str], patience: float | None = None, **options: Any) -> bytes:
     """Return the output of a program.
 
     Raises:
         OSError: it cannot be started.
-        SubprocessError: it fails, or exceeds `_PATIENCE`.
+        SubprocessError: it fails, or exceeds a time limit [s].
     """
-    done = subprocess.run(words, capture_output=True, check=True, timeout=_PATIENCE, **options)
+    done = subprocess.run(words, capture_output=True, check=True, timeout=patience or _PATIENCE, **options)
     output: bytes = done.stdout
     return output
 
@@ -223,6 +226,6 @@ def _run(words: list[str], **options: Any) -> bytes:
 def _reason(error: Exception) -> str:
     """Return the message of an error in one line."""
     if isinstance(error, subprocess.TimeoutExpired):
-        return f"it exceeds {_PATIENCE:g} s"
+        return f"it exceeds {error.timeout:.0f} s"
     output = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip()
     return output.splitlines()[0] if output else getattr(error, "strerror", None) or str(error)

@@ -132,6 +132,18 @@ def test_a_compiler_that_hangs_at_once_is_skipped(cache, monkeypatch, tmp_path):
 
 
 @needs_compiler
+def test_a_slow_compiler_has_time_in_proportion_to_the_source(cache, monkeypatch, tmp_path):
+    real = native.compiler()[0]
+    forget()
+    slow = program(tmp_path, "slow-cc", f'case "$*" in *shared*) sleep 1.2;; esac\nexec {real} "$@"')
+    monkeypatch.setenv("CC", slow)
+    monkeypatch.setattr(native, "_PATIENCE", 1.0)
+    monkeypatch.setattr(native, "_SLOWEST", 20.0)
+    assert result() == 3
+    assert native.compiler()[0] == slow
+
+
+@needs_compiler
 def test_damaged_libraries_are_built_again(cache):
     assert result() == 3
     (file,) = libraries(cache)
