@@ -46,7 +46,7 @@ TUNING_FLAGS = ("-march=native", "-fno-ivopts")
 """Flags for this processor, and without a slow search for loop counters by gcc; left out if a compiler refuses them."""
 _PATIENCE = 60.0
 """Time limit of a compiler [s] for a short source."""
-_SLOWEST = 2e3
+_SLOWEST = 200.0
 """Speed of a compiler on a busy machine [characters/s], for the time limit of a longer source."""
 _TRIAL = "#include <math.h>\n#include <stdint.h>\ndouble auv_trial(double x) { return floor(x); }\n"
 """Source that a compiler must be able to build before it is used."""

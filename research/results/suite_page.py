@@ -15,6 +15,7 @@ from research.pages import table, with_interval
 from research.results import error_only
 from research.results.collection import ROUNDING, Results, results_of
 from research.trainings.seed_runs import SEED_RUNS, SeedRuns, trained
+from research.trainings.trainings import ABLATIONS
 
 DESCRIPTIONS = {
     "benchmark-v3": "The disturbances of the training from other seeds, and two fixed levels of position noise, of "
@@ -36,7 +37,11 @@ def context(page: str) -> dict[str, Any]:
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
     name = results.suite.name
     agents = trained(name) if (SEED_RUNS / f"{name}.npz").exists() else {}
-    others = {key: runs for key, runs in agents.items() if key != error_only.NAME}
+    others = {key: runs for key, runs in agents.items() if key not in (error_only.NAME, *ABLATIONS)}
+    ablations = [
+        [ABLATIONS[row[0].strip("`")][0], *row[2:]]
+        for row in seed_rows(results, {key: agents[key] for key in ABLATIONS if key in agents})
+    ]
     return {
         "template": "suite",
         "what": DESCRIPTIONS[name],
@@ -49,6 +54,7 @@ def context(page: str) -> dict[str, Any]:
         "cells": table(cell_heads(results.agent), cell_rows(results)),
         "speed_ranges": [(r, table(_POLICY_HEADS, policy_rows(results, r))) for r in results.speed_ranges],
         "seeds": table(_SEED_HEADS, seed_rows(results, others)) if others else "",
+        "ablations": table(("change", *_SEED_HEADS[2:]), ablations) if ablations else "",
         "zero": EXPERT,
         **(_optimum(results) if OPTIMUM_POLICY in results.policies else {"one": ""}),
     }

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from auv_gym.scenarios.presets import CASES
 from baselines.control.open_loop import NO_EXPERT
+from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import words_of
 from baselines.training.command import PROGRAM, Options, checked_request, hyperparameter_words
 from baselines.training.train import TrainingRequest
@@ -145,9 +146,23 @@ class SeedTraining(NamedTuple):
     suites: tuple[str, ...] = ("benchmark-v3",)  # frozen suites on which the agents run
 
 
+def _ablation(expert: str = NO_EXPERT, **changes: Any) -> SeedTraining:
+    """Return the training of `helm` in a third of the steps, with one part changed."""
+    return SeedTraining(training("apg", "helm", (1.0,), expert, 12_000_000, {**HELM, **changes}), 1)
+
+
+ABLATIONS: Mapping[str, tuple[str, SeedTraining]] = {
+    "helm-short": ("nothing", _ablation()),
+    "helm-without-filters": ("without the estimates of Kalman filters", _ablation(filters=False)),
+    "helm-without-preview": ("without a preview of the path", _ablation(preview=[])),
+    "helm-without-memory": ("with two tanh layers in place of recurrent units", _ablation(memory=False)),
+    "helm-with-expert": ("as a correction of `backstepping`", _ablation(EXPERT)),
+}
+"""Short trainings of `helm` with one part changed, and what is changed, by name."""
 SEED_TRAININGS: Mapping[str, SeedTraining] = {
     "helm": SeedTraining(SHIPPED_TRAININGS["helm"], 5),
     "helm-any": SeedTraining(SHIPPED_TRAININGS["helm-any"], 3, ("benchmark-v3", "vehicles-v3")),
     "helm-3d": SeedTraining(SHIPPED_TRAININGS["helm-3d"], 3, ("space-v1",)),
+    **{name: own for name, (_, own) in ABLATIONS.items()},
 }
 """The trainings of the study, by name."""

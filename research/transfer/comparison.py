@@ -27,22 +27,23 @@ from baselines.evaluation.score import cap_of, capped, count_failures
 from baselines.policies import make_policy
 from research.seeds import TRANSFER
 from research.study import Study, stamp
+from research.transfer.remus100 import FIN_LAG, SpaceRemus100
 from research.transfer.simulators import IN_SPACE, SIX_DOF_MODELS, SixDofSimulator
 from research.transfer.six_dof import SpatialMotion
 from research.transfer.trials import steady_motion
 
 PLANE = "plane"  # the simulator with three degrees of freedom
 SPACE = "space"  # the simulator with six degrees of freedom
-FIVE, SIX = "5-DOF", "6-DOF"  # both simulators of motion in space
+FIVE, SIX = "5-DOF", "6-DOF"  # simulators of motion in space
+QUICK = "6-DOF, quick propeller"  # with the lag of the fins, as the lag of 5-DOF is that of all actuators
 
 
 class Part(NamedTuple):
-    """A comparison of two simulators; its cases have the same disturbances in both, but other lags of actuators."""
+    """A comparison of simulators; its cases have the same disturbances in all, but other lags of actuators."""
 
     policies: tuple[str, ...]
     cases: tuple[str, ...]
-    models: Mapping[str, Any]  # see `SixDofSimulator`
-    places: tuple[str, str]  # names of the simulators
+    simulators: Mapping[str, Mapping[str, Any] | None]  # models of `SixDofSimulator` by name; None: that of the project
 
 
 _LAWS = ("backstepping", "backstepping-normalised", "los-pid", "lqi")  # in the plane and in space
@@ -52,10 +53,13 @@ _PARTS = {
     _IN_PLANE: Part(
         (*_LAWS[:2], "integral-normalised", "ilos", *_LAWS[2:], "ekf", "nmpc", "helm", "helm-any"),
         ("calm", "noise", "current", "waves", "mismatch", "storm"),
-        SIX_DOF_MODELS,
-        (PLANE, SPACE),
+        {PLANE: None, SPACE: SIX_DOF_MODELS},
     ),
-    _IN_SPACE: Part((*_LAWS, "ekf", "nmpc", "helm-3d"), ("calm", "current", "waves", "storm"), IN_SPACE, (FIVE, SIX)),
+    _IN_SPACE: Part(
+        (*_LAWS, "ekf", "nmpc", "helm-3d"),
+        ("calm", "current", "waves", "storm"),
+        {FIVE: None, SIX: IN_SPACE, QUICK: {"remus100": SpaceRemus100(propeller_lag=FIN_LAG)}},
+    ),
 }
 """The comparisons by the speed range of their scenarios."""
 _EPISODES = 64  # of each case
@@ -75,14 +79,16 @@ def _measure(vehicle: str, policy: str, speed_range: str = _IN_PLANE, quick: boo
     n = 2 if quick else _EPISODES
     cells = transfer_cells(vehicle, n, speed_range)
     scenario, count = cells[0].scenario, n * len(cells)
-    made, space = make_policy(policy, scenario.bare), SixDofSimulator(vehicle, count, part.models)
+    made = make_policy(policy, scenario.bare)
     rows: dict[str, dict[str, Any]] = {case: {} for case in part.cases}
-    for place, simulator in zip(part.places, (None, moved_by(lambda _: space)), strict=True):
+    for place, models in part.simulators.items():
+        space = models and SixDofSimulator(vehicle, count, models)
+        simulator = space and moved_by(lambda _, space=space: space)  # type: ignore[misc]
         log, roll = EpisodeLog(scenario.steps, count, len(scenario.parts.model.channels)), np.zeros(count)
         begun = beginning([(cell.scenario, cell.episodes) for cell in cells], preview_of(made), simulator=simulator)
         for k, moment in enumerate(play(made, begun, scenario.steps)):
             log.add(k, moment)
-            if k >= scenario.steps // 3:
+            if space and k >= scenario.steps // 3:
                 roll = np.where(log.running, np.fmax(roll, np.abs(SpatialMotion(*space.rows[:12]).phi)), roll)
         measures = log.measures(scenario)
         for i, (case, cell) in enumerate(zip(part.cases, cells, strict=True)):
@@ -226,13 +232,14 @@ def space_summary(vehicle: str) -> dict[str, Any]:
     """Return the `summary` in space, with medians of the errors, and median and largest roll [deg] of each policy."""
     values, part = STUDY.values(), _PARTS[_IN_SPACE]
     results = {policy: values[vehicle, policy, _IN_SPACE] for policy in part.policies}
-    record = summary(results, part.places)
+    record, quick = (summary(results, (FIVE, place)) for place in (SIX, QUICK))
+    record["quick"] = quick
     for policy, row in record["policies"].items():
         own = results[policy]
         rolls = np.concatenate([own[case][SIX]["roll_deg"] for case in part.cases])
-        errors = np.array([[own[case][place]["steady_rmse"] for case in part.cases] for place in part.places])
+        errors = np.array([[own[case][place]["steady_rmse"] for case in part.cases] for place in (FIVE, SIX)])
         row["roll_deg"] = float(np.median(rolls)), float(rolls.max())
-        row["median_m"] = dict(zip(part.places, np.median(errors, axis=(1, 2)).tolist(), strict=True))
+        row["median_m"] = dict(zip((FIVE, SIX), np.median(errors, axis=(1, 2)).tolist(), strict=True))
         row["median_growth_by_case"] = np.divide(*np.median(errors, axis=2)[::-1]).tolist()
     return record
 

@@ -147,6 +147,7 @@ class Remus100:
     name: ClassVar[str] = "remus100"
     size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
     motion: ClassVar[Model] = PLANE
+    propeller_lag: float = PROPELLER_LAG  # [s]
 
     @cached_property
     def rigid(self) -> Array:
@@ -265,7 +266,7 @@ class Remus100:
             self.actuation(s, a, ns), self.body_forces(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True
         )
         forces = [acting + body + other - turning for acting, body, other, turning in parts]
-        lags = FIN_LAG, FIN_LAG, PROPELLER_LAG
+        lags = FIN_LAG, FIN_LAG, self.propeller_lag
         return [
             *place_rates(s, (inputs.V_x, inputs.V_y, inputs.V_z), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
