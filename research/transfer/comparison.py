@@ -251,13 +251,28 @@ def space_section(vehicle: str) -> dict[str, Any]:
         errors = (f"{row[kind][place]:.3g}" for kind in ("median_m", "error_m") for place in (FIVE, SIX))
         roll, ratios = "{:.2g} / {:.2g}".format(*row["roll_deg"]), (f"{x:.2g}" for x in row["median_growth_by_case"])
         rows.append([f"`{policy}`", *errors, *_compared(row), roll, *ratios])
-    growths, rolls = zip(*((row["growth"], row["roll_deg"][1]) for row in record["policies"].values()), strict=True)
+    rolls = [row["roll_deg"][1] for row in record["policies"].values()]
     verdict = (
-        f"With 5-DOF {_smallest(record['best'][FIVE])}; with 6-DOF {_smallest(record['best'][SIX])}. The mean errors "
-        f"with 6-DOF are {min(growths):.2f} to {max(growths):.2f} times those with 5-DOF. Kendall's tau is "
-        f"{record['tau']:.2f} ({_between(record['tau_ci95'])}). The largest roll is {max(rolls):.1f} degrees."
+        f"With 5-DOF {_smallest(record['best'][FIVE])}; with 6-DOF {_smallest(record['best'][SIX])}. "
+        f"{_ratios(record)} The largest roll is {max(rolls):.1f} degrees."
     )
-    return {"verdict": verdict, "cases": record["cases"], "rows": rows, "ranks": _ranks(record)}
+    return {
+        "verdict": verdict,
+        "quick": _ratios(record["quick"]),
+        "lag": f"{FIN_LAG:g} s",
+        "cases": record["cases"],
+        "rows": rows,
+        "ranks": _ranks(record),
+    }
+
+
+def _ratios(record: Mapping[str, Any]) -> str:
+    """Return sentences with the ratios of mean errors and the rank correlation in space."""
+    growths = [row["growth"] for row in record["policies"].values()]
+    return (
+        f"The mean errors with 6-DOF are {min(growths):.2f} to {max(growths):.2f} times those with 5-DOF. Kendall's "
+        f"tau is {record['tau']:.2f} ({_between(record['tau_ci95'])})."
+    )
 
 
 def _compared(row: Mapping[str, Any]) -> tuple[str, str]:
