@@ -53,7 +53,13 @@ def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **
         OSError: the file cannot be read.
         ValueError: the name is unknown, there is no policy in the file, or the policy has no such option.
     """
-    parts = PolicyName.of(name)
+    if not isinstance(name, str):
+        raise TypeError(f"name is {name!r}; it must be a string; run_episode and check_policy take a policy itself")
+    parts, space = PolicyName.of(name), isinstance(vehicle, SpaceVehicle)
+    if parts.kind != "controller" and parts.base in shipped_agents(not space):
+        kinds = ("the plane", "space") if space else ("space", "the plane")
+        others = ", ".join(shipped_agents(space))
+        raise ValueError("agent {} is for motion in {}; agents for motion in {}: {}".format(name, *kinds, others))
     if isinstance(vehicle, SpaceVehicle):
         if parts.fallback is not None:
             raise ValueError(f"policy {name!r}: there is no guard in space; leave out {GUARD}")
@@ -72,6 +78,8 @@ def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **
     if parts.kind != "controller":
         return load_policy(parts, vehicle, **options)
     if name not in POLICIES:
+        if name.endswith(".py"):
+            raise ValueError(f"policy {name!r} names no class or factory; write {name}:NAME")
         known = [*POLICIES, *shipped_agents(False)]
         hint = meant(name, [one + suffix for suffix in ("", GUARD) for one in known])
         raise ValueError(

@@ -21,7 +21,7 @@ import numpy as np
 from auv_gym.effects.current import RandomCurrent
 from auv_gym.planning.paths import Legs, from_geographic
 from auv_gym.planning.paths.space import Through, WithHeight
-from auv_gym.planning.paths.waypoints import WaypointWarning
+from auv_gym.planning.paths.waypoints import NEAR, WaypointWarning
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.records import guarded
 from auv_gym.scenarios.scenario import MOST_STEPS, Scenario
@@ -124,6 +124,7 @@ def mission_scenario(
     if radius is None:
         turn_rate = model.turn_rate or PAPER_TURN_RATE * PAPER.vehicle.time / model.vehicle.time
         radius = max(speeds or (speed,)) / turn_rate
+    _check_dive(mission)
     path = Legs(mission.points, speed, radius, speeds)
     V_x, V_y = map(float, current)
     flow = RandomCurrent(speed=math.hypot(V_x, V_y), direction=math.atan2(V_y, V_x), relative=False)
@@ -140,14 +141,21 @@ def mission_scenario(
     return replace(scenario, steps=steps)
 
 
+def _check_dive(mission: Mission) -> None:
+    """Raise ValueError if a depth is above the surface, or changes at one place."""
+    for k, depth in enumerate(mission.depths):
+        if depth < 0:
+            raise ValueError(f"waypoint {k} has the depth {depth:.4g} m; depths are positive below the surface")
+        if k and math.dist(*mission.points[k - 1 : k + 1]) < NEAR:
+            raise ValueError(
+                f"waypoint {k} is at the place of the one before; a vehicle cannot dive on the spot: move it, or leave "
+                "it out"
+            )
+
+
 def _in_space(path: Legs, mission: Mission, radius: float) -> tuple[WithHeight, Vertical]:
     """Return the path of a mission with depths, and the vertical part of its scenario."""
     times = path.arrivals.tolist()
-    if len(times) != len(mission.depths):
-        raise ValueError("two waypoints are at one place with depths of their own; a vehicle cannot dive on the spot")
-    for number, depth in enumerate(mission.depths, 1):
-        if depth < 0:
-            raise ValueError(f"waypoint {number} has the depth {depth:.4g} m; depths are positive below the surface")
     blend = min(radius / max(path.speeds or (path.speed,)), 0.5 * min(np.diff(times)))
     heights = tuple(-depth for depth in mission.depths)
     return WithHeight(path, Through(times, heights, float(blend))), Vertical()
@@ -187,15 +195,19 @@ def _of_table(name: str, text: str) -> Mission:
         numbers = []
         for k, row in zip(data[1:], rows, strict=True):
             cell = row[place] if place < len(row) else ""
+            if blank is not None and not cell:
+                numbers.append(blank)
+                continue
             try:
-                numbers.append(
-                    blank if blank is not None and not cell
-                    else factor * float(cell.replace(",", ".") if separator != "," else cell)
-                )  # fmt: skip
+                numbers.append(factor * float(cell.replace(",", ".") if separator != "," else cell))
+                if not math.isfinite(numbers[-1]):
+                    raise ValueError
             except ValueError:
                 raise ValueError(f"{cell!r} in column {heading[place]} of line {k + 1} is no number") from None
         return numbers
 
+    if len(rows) < 2:
+        raise ValueError(f"it has too few waypoints, {len(rows)}; it needs 2 or more")
     first, second = column(pair[0]), column(pair[1])
     speeds = column("speed", math.nan) if "speed" in found else [math.nan] * len(first)
     depths = tuple(column("depth")) if "depth" in found else ()

@@ -15,6 +15,7 @@ from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.cells import drawn
+from baselines.evaluation.policy_check import check_predict
 from baselines.evaluation.rollout import beginning, play
 from baselines.policies import make_policy
 from baselines.policy import Privileged
@@ -84,6 +85,7 @@ def run_episodes(
         raise ValueError(f"episodes is {episodes!r}; it must be an integer of at least 1")
     scenario = as_scenario(scenario)
     made: Any = make_policy(policy, scenario.known) if isinstance(policy, str) else policy
+    check_predict(made)
     cell = drawn(scenario, episodes, seed)
     if isinstance(made, Privileged):
         made.prepare(scenario, cell.episodes)

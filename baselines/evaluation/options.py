@@ -42,7 +42,7 @@ class Options:
     """Another simulator that moves the vehicles: "cmd:COMMAND", a program in any language that reads commands and
     writes states line by line, see docs/plants.md. Results of a suite are then not compared with recorded ones."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
-    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
+    """Python files with effects of your own, which scenario files name: docs/make-your-own.md. They are executed."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Number of episodes of each policy in each scenario. Default: 20; in a frozen suite all of them."""
     seed: int = 0

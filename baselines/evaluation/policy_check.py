@@ -32,12 +32,9 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
             not finite or outside [-1, 1]; the action of a vehicle depends on the others, on the call before, or after
             `episode_start` on the episode before.
     """
-    if isinstance(policy, type):
-        raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
+    check_predict(policy)
     if isinstance(policy, Privileged):
         raise PolicyError("the policy uses more than the observation; only others can be checked")
-    if not callable(getattr(policy, "predict", None)):
-        raise PolicyError(f"a {type(policy).__name__} has no method predict")
     scenario = as_scenario(scenario)
     called = partial(_called, policy, len(scenario.parts.model.channels))
     env = gym.make_vec(
@@ -67,6 +64,14 @@ def check_policy(policy: Policy, scenario: Scenario | str = "cruise-storm") -> N
             _compare(action[0], actions[k][i], f"{what}; memory must be in state, with one row for each vehicle")
     single, _ = called(seen[0][0], None, np.array([True]))
     _compare(single, actions[0][0], "the action for one observation alone, shape (n,), is another one than in a batch")
+
+
+def check_predict(policy: Any) -> None:
+    """Raise PolicyError if a policy is a class, or has no method `predict`."""
+    if isinstance(policy, type):
+        raise PolicyError(f"{policy.__name__} is a class; give an object, {policy.__name__}()")
+    if not callable(getattr(policy, "predict", None)):
+        raise PolicyError(f"a {type(policy).__name__} has no method predict")
 
 
 def _called(policy: Policy, channels: int, observation: Any, memory: Any, first: Any) -> tuple[Any, Any]:

@@ -11,7 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.feasibility import InfeasibleReferenceError
 from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS, SETPOINTS, as_scenario, is_preset, list_scenarios, preset_names
@@ -131,7 +134,8 @@ def _check(options: Options) -> None:
     names, usual = ("vehicle", "speed", "radius", "current"), Options()
     of_mission = [name for name in names if getattr(options, name) != getattr(usual, name)]
     if of_mission and options.mission is None:
-        raise UsageError(f"--{of_mission[0]} is for a mission; a scenario file has its own")
+        hint = "; a preset takes a vehicle as in cruise-storm@remus100" if options.vehicle else ""
+        raise UsageError(f"--{of_mission[0]} is for a mission; a scenario file has its own{hint}")
     for name, least, most in (("episodes", 1, _MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
@@ -164,8 +168,7 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
         raise UsageError(f"unknown suite {suite!r}{meant(suite, known)}; allowed are {', '.join(known)}")
     scenarios: dict[str, Scenario] = {}
     if options.mission is not None:
-        scenario = checked(partial(_mission, options))
-        cell = checked(partial(drawn, scenario, options.episodes or 1, options.seed))
+        cell = checked(partial(_mission, options))
         return (cell,), cell.hash, RecordedRuns((), ())
     for scenario in map(checked_scenario, options.scenario or DRAWN_SUITES[suite or ""]):
         if scenarios.setdefault(scenario.name, scenario) != scenario:
@@ -179,10 +182,23 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     return cells, digest, RecordedRuns((), ())
 
 
-def _mission(options: Options) -> Scenario:
+def _mission(options: Options) -> Cell:
+    """Return the episodes of a mission; raise ValueError, with what to change, if the vehicle cannot follow it."""
     assert options.mission is not None
     mission = read_mission(options.mission)
-    return mission_scenario(mission, options.vehicle, options.speed, options.radius, options.current)
+    scenario = mission_scenario(mission, options.vehicle, options.speed, options.radius, options.current)
+    if (hours := scenario.steps * scenario.control_dt / 3600) >= 1:
+        print(f"note: the mission takes {hours:.1f} h, {scenario.steps} control steps of each policy", file=sys.stderr)
+    try:
+        return drawn(scenario, options.episodes or 1, options.seed)
+    except InfeasibleReferenceError as error:
+        advice = "a smaller speed or a larger --radius may help"
+        if mission.depths:
+            lengths, rises = np.hypot(*np.diff(mission.points, axis=0).T), np.abs(np.diff(mission.depths))
+            k = int(np.argmax(rises / lengths))
+            steepest = f"leg {k}, the steepest, has {rises[k]:.4g} m of depth on {lengths[k]:.4g} m"
+            advice = f"{steepest}; a flatter leg, {advice}"
+        raise ValueError(f"{error}; {advice}") from error
 
 
 def import_effects(files: Iterable[Path]) -> None:

@@ -49,7 +49,7 @@ class Options:
     """The policy, as for evaluate --policy; it may have another path now. Without a policy, no episode runs."""
     share: float = 0.05
     """Share of the episodes of each case that is run again, in (0, 1]."""
-    seed: int | None = None
+    seed: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Seed of the choice of episodes. Default: a random one, which is printed."""
     step_limit: float = STEP_LIMIT
     """Largest mean time of a policy for one action, in seconds; a slower policy fails."""

@@ -25,7 +25,7 @@ from baselines.identification.model import NEEDED, is_current, names_of
 from baselines.identification.prediction import HeldOut, held_out
 from baselines.identification.report import MISFIT, held_out_text, report_files, rows
 from baselines.identification.trials import EXAMPLE_ACTUATORS, EXAMPLE_CURRENT, example
-from baselines.tools.command_line import DONE, FAILED, UsageError, checked_folder, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_folder, parse
 from baselines.tools.files import write_atomically
 
 PROGRAM = "auv-gym identify"
@@ -48,7 +48,7 @@ class Options:
     Example: auv-gym identify log.csv --terms X_uu --holdout new.csv --out vehicle
     """
 
-    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [LOG ...]", help_behavior_hint="(required)")]
     """The logs, of one vehicle."""
     holdout: Annotated[tuple[Path, ...], arg(metavar="LOG [LOG ...]", help_behavior_hint="")] = ()
     """Held-out logs, which are predicted by the fitted vehicle; the report compares predictions and measurements."""
@@ -111,10 +111,12 @@ def main(arguments: Sequence[str]) -> int:
         identified, taken = fitted(inputs, options)
         errors = None if inputs.held_out is None else held_out(identified, inputs.held_out)
     except ContradictionError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
     except ValueError as error:
         raise UsageError(str(error)) from error
+    except OSError as error:
+        raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
     if taken:
         print(taken)
     if identified.misfit:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import os
+import re
 import shlex
 import signal
 import sys
@@ -15,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, get_type_hints
 
 import tyro
 from threadpoolctl import threadpool_limits
@@ -64,7 +66,7 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
     except SystemExit as end:
         if end.code in (None, 0):
             raise
-        text = _first_paragraph(errors.getvalue()).replace("no type matching {None}|INT could be", "no integer can be")
+        text = _wrong_value(_first_paragraph(errors.getvalue()), options, arguments)
         known = [f"--{f.name.rstrip('_').replace('_', '-')}" for f in fields(options)]  # type: ignore[arg-type]
         words = (word.partition("=")[0] for word in arguments if word[:2] == "--" and word in text)
         hint = next((meant(word, known) for word in words if word not in known), "")
@@ -119,6 +121,23 @@ def _first_paragraph(box: str) -> str:
         elif words:
             break
     return " ".join(words).strip(" .") or "the arguments are not understood"
+
+
+def _wrong_value(text: str, options: type[Any], arguments: Sequence[str]) -> str:
+    """Return an error message of tyro, or, for a value of a wrong type, one with the value and what is allowed."""
+    if (found := re.match(r"Error parsing --([\w-]+):", text)) is None:
+        return text
+    option, name = f"--{found[1]}", found[1].replace("-", "_")
+    hints = get_type_hints(options)
+    hint = str(hints.get(name) or hints.get(f"{name}_"))
+    if "int" not in hint and "float" not in hint:
+        return text
+    words = [word for given in arguments for word in (given.split("=", 1) if given.startswith(option) else [given])]
+    given = itertools.takewhile(lambda word: word[:2] != "--", words[words.index(option) + 1 :])
+    one, many = ("an integer", "integers") if "int" in hint else ("a number", "numbers")
+    count = hint.count("float")
+    allowed = one if "tuple" not in hint else many if "..." in hint else f"{count} {many}"
+    return f"{option} is {' '.join(given)!r}; it must be {allowed}"
 
 
 def words_of(options: Any, defaults: Any) -> list[str]:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import FlagCreatePairsOff, arg
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import Sea
@@ -84,10 +84,10 @@ class Options:
     path speed."""
     waves: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")] = None
     """Factor of the forces of the waves in the scenarios; 0 for none. Default: 1."""
-    no_compare: bool = False
+    no_compare: Annotated[bool, FlagCreatePairsOff] = False
     """With --vehicle: leave out the comparison at the end."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
-    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
+    """Python files with effects of your own, which scenario files name: docs/make-your-own.md. They are executed."""
     seed: int = 0
     """Seed of networks, exploration and episodes."""
     seeds: int = 1
@@ -98,7 +98,8 @@ class Options:
     cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
     """A Dask scheduler, by its address or its file, whose workers run instead of --jobs, see docs/many-runs.md."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Control steps to train for, summed over vehicles. Default: from the hyper-parameters."""
+    """Control steps to train for, summed over vehicles, rounded up to whole updates. Default: from the
+    hyper-parameters."""
     hyperparameters: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """File of hyper-parameters, .toml or .json. Default: the file of the package."""
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]", help_behavior_hint="")] = ()

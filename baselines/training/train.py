@@ -125,8 +125,9 @@ def _trained(config: Config, folder: Path, command: str, several: bool, processe
         return FAILED, f"{label}{' '.join(str(error).split())}"
     except OSError as error:
         return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
-    score, seconds = training["validation"]["score"], training["seconds"]
-    return DONE, f"{label}validation score {score:.3f} after {seconds:.0f} s; agent: {folder / AGENT_FOLDER}"
+    best, seconds = training["validation"], training["seconds"]
+    kept = f"validation score {best['score']:.3f} (0: expert, 1: no error), that after {best['timesteps']:,} steps"
+    return DONE, f"{label}{kept}; {seconds:.0f} s; agent: {folder / AGENT_FOLDER}"
 
 
 @contextmanager

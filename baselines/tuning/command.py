@@ -62,7 +62,7 @@ class Options:
     """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
     """Episodes of each evaluation, a multiple of 32, so that each case has the same number."""
-    start: Path | None = None
+    start: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """A JSON file of gains by name, at which the search starts; they may stand in its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""

@@ -41,7 +41,7 @@ class Options:
     scenario: str = "cruise-storm"
     """A preset's name, or a .toml or .json file."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
-    """Python files with effects of your own, which scenario files then name, see docs/make-your-own.md. They run."""
+    """Python files with effects of your own, which scenario files name: docs/make-your-own.md. They are executed."""
     seed: int = 0
     """Seed of the episode."""
     out: Path = Path("runs/video.webp")

@@ -115,7 +115,7 @@ def test_legs_without_a_speed_have_the_usual_one_and_the_radius_is_for_the_speed
 
 def test_a_leg_behind_merged_waypoints_has_the_speed_of_the_last_of_them():
     twice = Mission("m", ((0, 0), (50, 0), (50.01, 0), (50, 50)), (0.8, 0.3, 0.4))
-    with pytest.warns(WaypointWarning, match="waypoints 2 are nearer than 0.1 m"):
+    with pytest.warns(WaypointWarning, match="nearer than 0.1 m to the one before: waypoint 2$"):
         assert mission_scenario(twice, radius=5.0).path.speeds == (0.8, 0.4)
 
 
@@ -187,6 +187,8 @@ def test_what_a_file_has_beside_is_named(tmp_path):
         ("m.kml", "", r"ends in '.kml'; it must end in .csv, .geojson, .json, .plan, .waypoints, .txt"),
         ("m.csv", "a,b\n1,2\n", r"its columns are a, b; it needs x and y \[m\], or lat and lon \[deg\]"),
         ("m.csv", "x,y\n1,2\n3,four\n", "'four' in column y of line 3 is no number"),
+        ("m.csv", "x,y\n1,2\nnan,4\n", "'nan' in column x of line 3 is no number"),
+        ("m.csv", "x,y\n1,2\n", "it has too few waypoints, 1; it needs 2 or more"),
         ("m.csv", "x,y\n1,2\n3\n", "'' in column y of line 3 is no number"),
         ("m.csv", "lat,lon\n91,2\n3,4\n", r"latitude of point 0 is 91.0; it must be in \[-90, 90\] degrees"),
         ("m.waypoints", "1 2 3\n", "its first line is '1 2 3'; it must begin with 'QGC WPL'"),
@@ -241,8 +243,8 @@ def test_a_vehicle_dives_to_the_depths_of_a_mission(tmp_path):
 @pytest.mark.parametrize(
     ("points", "depths", "vehicle", "message"),
     [
-        (((0, 0), (60, 0)), (5, -1), None, "waypoint 2 has the depth -1 m; depths are positive below the surface"),
-        (((0, 0), (60, 0), (60, 0), (60, 60)), (5, 5, 9, 9), None, "cannot dive on the spot"),
+        (((0, 0), (60, 0)), (5, -1), None, "waypoint 1 has the depth -1 m; depths are positive below the surface"),
+        (((0, 0), (60, 0), (60, 0), (60, 60)), (5, 5, 9, 9), None, "waypoint 2 is at the place of the one before"),
         (((0, 0), (60, 0)), (5, 59), "remus100", "the pitch|a climb"),
     ],
 )

@@ -119,7 +119,14 @@ def files(tmp_path):
     [
         (["--bogus"], "--bogus; see"),
         (["--no-resume", "--episods=3"], "--episods=3 (did you mean '--episodes'?)"),
-        (["--jobs", "1.5"], "--jobs: no integer can be instantiated from ['1.5']"),
+        (["--jobs", "1.5"], "--jobs is '1.5'; it must be an integer"),
+        (["--speed=fast", "--seed", "1"], "--speed is 'fast'; it must be a number"),
+        (["--current", "0.1", "x"], "--current is '0.1 x'; it must be 2 numbers"),
+        (["--policy", "own.py"], "policy 'own.py' names no class or factory; write own.py:NAME"),
+        (
+            ["--policy", "helm", "--scenario", "space-calm"],
+            "agent helm is for motion in the plane; agents for motion in space: helm-3d",
+        ),
         (["--policy", "ekf:gard"], "unknown policy 'ekf:gard' (did you mean 'ekf:guard'?)"),
         (["--episodes", "0"], "1 or more"),
         (["--step-limit", "0"], "positive"),
@@ -519,11 +526,15 @@ def test_a_mission_is_evaluated_and_leaves_its_reference(call, capsys):
     assert float(rows[-1]["y"]) == pytest.approx(30.0, abs=1e-6)
     results = json.loads(Path("out/results.json").read_text(encoding="utf-8"))["results"]
     assert {row["episodes"] for row in results} == {1}
+    Path("steep.csv").write_text("x,y,depth\n0,0,0\n20,0,100\n80,0,0\n", encoding="utf-8")
+    Path("fast.csv").write_text("x,y\n0,0\n100,0\n", encoding="utf-8")
     for wrong, message in (
         (("--mission", "square.csv", "--suite", "presets"), "--suite and --mission exclude each other"),
         (("--vehicle", "lauv"), "--vehicle is for a mission; a scenario file has its own"),
         (("--mission", "no.csv"), "cannot read no.csv: No such file or directory"),
         (("--mission", "square.csv", "--radius", "40"), "a radius of"),
+        (("--mission", "steep.csv"), "leg 0, the steepest, has 100 m of depth on 20 m"),
+        (("--mission", "fast.csv", "--speed", "9"), "a smaller speed or a larger --radius may help"),
     ):
         capsys.readouterr()
         assert call(*wrong) == 2

@@ -18,7 +18,7 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.scenarios.vehicles import VEHICLES_FOLDER
-from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env
+from baselines import check_policy, make_policy, make_residual_policy, make_residual_vector_env, run_episode
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
@@ -281,6 +281,8 @@ def test_the_check_of_a_policy():
         check_policy({})
     with pytest.raises(PolicyError, match=r"Summing is a class; give an object, Summing\(\)"):
         check_policy(Summing)
+    with pytest.raises(PolicyError, match="a dict has no method predict"):
+        run_episode({}, "cruise-calm")
     with pytest.raises(PolicyError, match="uses more than the observation; only others can be checked"):
         check_policy(make_policy("oracle"))
 

@@ -55,7 +55,7 @@ def checked_waypoints(family: str, waypoints: Any, closed: bool) -> tuple[Array,
         raise ValueError(f"{family}: the waypoints are at most {size:.3g} m apart: {hint}")
     if near:
         warnings.warn(
-            f"{family}: waypoints {', '.join(map(str, near))} are nearer than {NEAR} m to the one before; left out",
+            f"{family}: left out, since nearer than {NEAR} m to the one before: waypoint {', '.join(map(str, near))}",
             WaypointWarning, stacklevel=4,
         )  # fmt: skip
     return points[kept], kept

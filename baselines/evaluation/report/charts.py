@@ -112,7 +112,7 @@ def _shares(line: Spec) -> Spec:
             {
                 "mark": {**_LINE, "interpolate": "step-after"},
                 "encoding": {
-                    "x": _number("steady_rmse", "steady-state error of an episode [m]; dotted: error cap", log=True),
+                    "x": _number("steady_rmse", "steady-state error [m]; dotted: error cap", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
                     "tooltip": _POLICY_TOOLTIP,
                     **line,

@@ -91,8 +91,9 @@ COLUMNS = (
     Column("rmse_m", "", "root mean square of the distance to the reference [m], mean over episodes",
            lambda _, s: s.rmse_m),
     Column("steady_rmse_m.mean", "steady [m]",
-           "steady-state error: the same after the first third of an episode; a failed episode keeps its last error "
-           "for the remaining steps; over several vehicles in metres of the paper's vehicle",
+           "steady-state error: root mean square of the distance to the reference after the first third of an episode, "
+           "mean over episodes; a failed episode keeps its last error for the remaining steps; over several vehicles "
+           "in metres of the paper's vehicle",
            lambda _, s: s.steady_rmse_m.mean, digits(3), 9),
     Column("steady_rmse_m.ci95", "95 % interval", "95 % bootstrap interval of that mean over episodes",
            lambda _, s: list(s.steady_rmse_m.ci95), ends, 6),
@@ -122,7 +123,7 @@ COLUMNS = (
            f"mean steady-state error, counted as for the capped score, over that of {RIVAL} in the same episodes",
            lambda e, _: e.error_ratio, ratio_text, 1),
     Column("failed", "failures",
-           "failed episodes: they ended beyond the scenario's `lost_distance`, or the steady-state error reaches "
+           "failed episodes: they ended beyond the lost_distance of the scenario, or the steady-state error reaches "
            f"{_CAPS}; in parentheses the 95 % upper confidence bound of the failure rate",
            lambda e, _: e.failed, keep=8, show=lambda e, s: failures_text(e.failed, s.episodes)),
     Column("failure_rate", "", "failure rate", lambda e, s: e.failed / s.episodes),
@@ -192,8 +193,3 @@ def ranked(entries: Sequence[Entry]) -> list[Entry]:
         return entry.summary is None, not math.isfinite(score), -score if math.isfinite(score) else steady_rmse
 
     return sorted(entries, key=rank)
-
-
-def definitions(left_out: Sequence[str] = ()) -> dict[str, str]:
-    """Return the definition of each column of tables by its heading, without some columns, by their keys."""
-    return {column.heading: column.definition for column in _SHOWN if column.key not in left_out}

@@ -18,7 +18,7 @@ from typing import Any
 
 import jinja2
 
-from baselines.evaluation.report.columns import NONE, Column, definitions, digits, failures_text, ranked, used
+from baselines.evaluation.report.columns import NONE, Column, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.request import Request
@@ -70,6 +70,7 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     ranges = {table["speed_range"] for table in maps}
     joint = [entry for entry in pooled if entry.place.partition(VEHICLE_MARK)[0] in ranges]
     scenarios = _boards([result.entry for result in results], policies, shown)
+    boards = _boards(joint, policies, shown) if joint else scenarios
     names, episodes = [cell.scenario.name for cell in request.cells], sum(len(c.episodes) for c in request.cells)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
@@ -88,14 +89,15 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         setting=f"scenarios: {len(names)}, episodes of each policy: {episodes}, seed {request.options.seed}",
         hash=request.hash,
         versions=", ".join(map(" ".join, versions().items())),
-        boards=_boards(joint, policies, shown) if joint else scenarios,
+        boards=boards,
         maps=maps,
         scenarios=scenarios,
         joint=bool(joint),
         recorded=recordings(results),
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
         notes=list(dict.fromkeys(notes)),
-        definitions=definitions(_LEFT_OUT),
+        definitions={c.heading: c.definition for b in (*boards, *scenarios) for c in sorted(b["columns"], key=_order)},
+        in_space=any(cell.scenario.vertical for cell in request.cells),
     )
 
 
