@@ -147,8 +147,8 @@ class SeedTraining(NamedTuple):
 
 
 def _ablation(expert: str = NO_EXPERT, **changes: Any) -> SeedTraining:
-    """Return the training of `helm` in a third of the steps, with one part changed."""
-    return SeedTraining(training("apg", "helm", (1.0,), expert, 12_000_000, {**HELM, **changes}), 1)
+    """Return the training of `helm` in a sixth of the steps, with one part changed."""
+    return SeedTraining(training("apg", "helm", (1.0,), expert, 6_000_000, {**HELM, **changes}), 1)
 
 
 ABLATIONS: Mapping[str, tuple[str, SeedTraining]] = {
