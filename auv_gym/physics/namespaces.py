@@ -93,17 +93,18 @@ def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
     return _clip_array(rows, -bounds.column, bounds.column)
 
 
-_floor = (1.0).__rfloordiv__  # as math.floor, but also for nan and infinity
+def scaled_components(rows: Any, factors: Constants) -> list[Any]:
+    """Return each component times its constant."""
+    return [row * factor for row, factor in zip(rows, factors.numbers, strict=True)]
+
+
+_IN_MATH = ("sin", "cos", "sqrt", "exp", "log", "hypot")
+_IN_NUMPY = (*_IN_MATH, "arctan2", "arcsin", "floor", "where", "stack")  # torch has the same names
 FLOATS = Namespace(
-    sin=math.sin,
-    cos=math.cos,
-    sqrt=math.sqrt,
-    exp=math.exp,
-    log=math.log,
-    hypot=math.hypot,
+    **{name: getattr(math, name) for name in _IN_MATH},
     arctan2=math.atan2,
     arcsin=math.asin,
-    floor=_floor,
+    floor=(1.0).__rfloordiv__,  # as math.floor, but also for nan and infinity
     clip=_clip,
     where=_where,
     scaled=_scaled_floats,
@@ -112,20 +113,10 @@ FLOATS = Namespace(
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
-    sin=np.sin,
-    cos=np.cos,
-    sqrt=np.sqrt,
-    exp=np.exp,
-    log=np.log,
-    hypot=np.hypot,
-    arctan2=np.arctan2,
-    arcsin=np.arcsin,
-    floor=np.floor,
+    **{name: getattr(np, name) for name in _IN_NUMPY},
     clip=_clip_array,
-    where=np.where,
     scaled=_scaled_arrays,
     bounded=_bounded_arrays,
-    stack=np.stack,
 )
 """The namespace of NumPy arrays, one row for each component."""
 
@@ -135,9 +126,6 @@ def tensors() -> Namespace:
     """Return the namespace of torch tensors; torch is imported by the first call."""
     import torch
 
-    def scaled(rows: Any, factors: Constants) -> Any:
-        return [x * k for x, k in zip(rows, factors.numbers, strict=True)]
-
     def clip(x: Any, low: Any, high: Any) -> Any:
         if isinstance(low, torch.Tensor) == isinstance(high, torch.Tensor):
             return torch.clamp(x, low, high)
@@ -146,22 +134,8 @@ def tensors() -> Namespace:
     def bounded(rows: Any, bounds: Constants) -> Any:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
 
-    return Namespace(
-        sin=torch.sin,
-        cos=torch.cos,
-        sqrt=torch.sqrt,
-        exp=torch.exp,
-        log=torch.log,
-        hypot=torch.hypot,
-        arctan2=torch.arctan2,
-        arcsin=torch.arcsin,
-        floor=torch.floor,
-        clip=clip,
-        where=torch.where,
-        scaled=scaled,
-        bounded=bounded,
-        stack=torch.stack,
-    )
+    functions = {name: getattr(torch, name) for name in _IN_NUMPY}
+    return Namespace(**functions, clip=clip, scaled=scaled_components, bounded=bounded)
 
 
 def wrap_angle(angle: Number, ns: Namespace = FLOATS) -> Number:
