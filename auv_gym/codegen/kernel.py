@@ -193,7 +193,7 @@ class Kernel:
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
-        return self._python(ARRAYS, single=_single_rows)
+        return self._python(ARRAYS, single=lambda x: np.asarray(x, dtype=np.float32).astype(np.float64))
 
     def _python(self, ns: Namespace, **others: Any) -> Callable[..., tuple[Any, ...]]:
         """Return the printed function on the numbers of a namespace."""
@@ -349,7 +349,3 @@ def _function(library: Any, name: str) -> Any:
     function = library[name]
     function.restype = None
     return function
-
-
-def _single_rows(x: AnyArray) -> AnyArray:
-    return np.asarray(x, dtype=np.float32).astype(np.float64)

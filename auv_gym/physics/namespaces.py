@@ -63,10 +63,6 @@ def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else high if value > high else value
 
 
-def _where(condition: bool, yes: float, no: float) -> float:
-    return yes if condition else no
-
-
 def _clip_array(value: Number, low: Number, high: Number) -> Number:
     return np.minimum(np.maximum(value, low), high)  # a third of np.clip's cost on small arrays
 
@@ -79,18 +75,10 @@ def _scaled_floats(rows: Any, factors: Constants) -> Any:
     return scaled
 
 
-def _bounded_floats(rows: Any, bounds: Constants) -> Any:
-    return _clip_array(rows, -bounds.array, bounds.array)
-
-
 def _scaled_arrays(rows: Any, factors: Constants) -> Any:
     scaled = np.array(rows, dtype=np.float64)  # rows stay contiguous: transposing takes a tenth of the time of a step
     scaled *= factors.column
     return scaled
-
-
-def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
-    return _clip_array(rows, -bounds.column, bounds.column)
 
 
 def scaled_components(rows: Any, factors: Constants) -> list[Any]:
@@ -106,9 +94,9 @@ FLOATS = Namespace(
     arcsin=math.asin,
     floor=(1.0).__rfloordiv__,  # as math.floor, but also for nan and infinity
     clip=_clip,
-    where=_where,
+    where=lambda condition, yes, no: yes if condition else no,
     scaled=_scaled_floats,
-    bounded=_bounded_floats,
+    bounded=lambda rows, bounds: _clip_array(rows, -bounds.array, bounds.array),
     stack=np.array,
 )
 """The namespace of Python floats."""
@@ -116,7 +104,7 @@ ARRAYS = Namespace(
     **{name: getattr(np, name) for name in _IN_NUMPY},
     clip=_clip_array,
     scaled=_scaled_arrays,
-    bounded=_bounded_arrays,
+    bounded=lambda rows, bounds: _clip_array(rows, -bounds.column, bounds.column),
 )
 """The namespace of NumPy arrays, one row for each component."""
 
