@@ -12,6 +12,3 @@ TRANSFER = Seeds(120_000_000, 130_000_000)
 """Comparison of two simulators."""
 FINE_TUNING = Seeds(140_000_000, 150_000_000)
 """Comparison of agents that were tuned to a vehicle; their hyper-parameters were chosen on the ten million before."""
-
-STUDY_SEEDS = (FAILURE_RATE, SENSITIVITY, TRANSFER, FINE_TUNING)
-"""All ranges, in ascending order, without overlap."""

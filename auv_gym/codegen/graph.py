@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.namespaces import FLOATS, Constants, Namespace
+from auv_gym.physics.namespaces import FLOATS, Namespace, scaled_components
 
 Key = tuple[Any, ...]
 
@@ -274,38 +274,13 @@ def _applied(operation: str) -> Callable[..., Any]:
 
 
 single = _applied("single")  # not part of the namespaces
-
-
-def _scaled(rows: Any, factors: Constants) -> list[Any]:
-    return [row * factor for row, factor in zip(rows, factors.numbers, strict=True)]
-
-
-def _bounded(rows: Any, bounds: Constants) -> list[Any]:
-    return [SYMBOLS.clip(row, -bound, bound) for row, bound in zip(rows, bounds.numbers, strict=True)]
-
-
-def _hypot(x: Any, y: Any) -> Any:
-    return SYMBOLS.sqrt(x * x + y * y)
-
-
-def _arcsin(x: Any) -> Any:
-    return SYMBOLS.arctan2(x, SYMBOLS.sqrt((1.0 - x) * (1.0 + x)))
-
-
-SYMBOLS = Namespace(
-    sin=_applied("sin"),
-    cos=_applied("cos"),
-    sqrt=_applied("sqrt"),
-    exp=_applied("exp"),
-    log=_applied("log"),
-    hypot=_hypot,
-    arctan2=_applied("arctan2"),
-    arcsin=_arcsin,
-    floor=_applied("floor"),
-    clip=_applied("clip"),
-    where=_applied("where"),
-    scaled=_scaled,
-    bounded=_bounded,
+CALLED = ("sin", "cos", "sqrt", "exp", "log", "arctan2", "floor", "clip", "where")  # operations that namespaces have
+SYMBOLS: Namespace = Namespace(
+    **{name: _applied(name) for name in CALLED},
+    hypot=lambda x, y: SYMBOLS.sqrt(x * x + y * y),
+    arcsin=lambda x: SYMBOLS.arctan2(x, SYMBOLS.sqrt((1.0 - x) * (1.0 + x))),
+    scaled=scaled_components,
+    bounded=lambda rows, bounds: [SYMBOLS.clip(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)],
     stack=list,
 )
 """The namespace of symbols."""

@@ -15,7 +15,7 @@ import numpy as np
 from auv_gym.codegen import native
 from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
-from auv_gym.codegen.graph import OPERATIONS, Graph, Symbol, floor
+from auv_gym.codegen.graph import CALLED, OPERATIONS, Graph, Symbol, floor
 from auv_gym.codegen.printing import Arrays, Layout, c_function, python_function
 from auv_gym.codegen.traces import Trace, read_trace, trace_key, write_trace
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, AnyArray, Namespace
@@ -27,7 +27,6 @@ KernelRun = Callable[[int, int], None]
 
 _DTYPES = {name: np.dtype(name) for name in ("float32", "float64")}
 _MOST_KERNELS = 256  # largest number of kernels that this process keeps for the same equations
-_NAMES = ("sin", "cos", "exp", "log", "sqrt", "arctan2", "floor", "clip", "where")  # that printed Python calls
 
 
 def address(array: AnyArray | None) -> Any:
@@ -194,11 +193,11 @@ class Kernel:
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
-        return self._python(ARRAYS, single=_single_rows)
+        return self._python(ARRAYS, single=lambda x: np.asarray(x, dtype=np.float32).astype(np.float64))
 
     def _python(self, ns: Namespace, **others: Any) -> Callable[..., tuple[Any, ...]]:
         """Return the printed function on the numbers of a namespace."""
-        names = {name: getattr(ns, name) for name in _NAMES} | {"inf": math.inf, "nan": math.nan} | others
+        names = {name: getattr(ns, name) for name in CALLED} | {"inf": math.inf, "nan": math.nan} | others
         source = python_function(self.name, self.graph, self.arguments, self._outputs)
         exec(compile(source, f"<{self.name}>", "exec"), names)
         function: Callable[..., tuple[Any, ...]] = names[self.name]
@@ -350,7 +349,3 @@ def _function(library: Any, name: str) -> Any:
     function = library[name]
     function.restype = None
     return function
-
-
-def _single_rows(x: AnyArray) -> AnyArray:
-    return np.asarray(x, dtype=np.float32).astype(np.float64)

@@ -179,11 +179,13 @@ class Fins(Effect):
 
     @staticmethod
     def thrust(thrust: Force, at: At) -> tuple[Number, ...]:
-        """Return force and torque at action 1 for the speed through water."""
-        share = fin_share(at.true("u"), at.own.fin, at.limits[1], at.ns)
-        return thrust[0], thrust[1] * share
+        """Return force and torques at action 1 for the speed through water."""
+        u, (surge, *torques), (_, *most) = at.true("u"), thrust, at.limits
+        each = zip(torques, at.own, most, strict=True)
+        return surge, *(torque * fin_share(u, fin, limit, at.ns) for torque, fin, limit in each)
 
     @staticmethod
     def limits(limits: Force, at: At) -> tuple[Number, ...]:
         """Return the limits for the measured speed over ground."""
-        return limits[0], known_torque(at.true("u"), at.own.fin, limits[1], at.ns)
+        u, (surge, *most) = at.true("u"), limits
+        return surge, *(known_torque(u, fin, limit, at.ns) for fin, limit in zip(at.own, most, strict=True))

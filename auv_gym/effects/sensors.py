@@ -92,7 +92,7 @@ class Sensors:
     @property
     def noise(self) -> State:
         """Standard deviations of the six measurements; the geometric mean of an interval."""
-        return self._noise(lambda: 0.5)
+        return self.draw_noise(lambda: 0.5)
 
     @property
     def draws_noise(self) -> bool:
@@ -101,9 +101,6 @@ class Sensors:
 
     def draw_noise(self, uniform: Uniform) -> State:
         """Return the standard deviations of the six measurements in an episode."""
-        return self._noise(uniform)
-
-    def _noise(self, uniform: Uniform) -> State:
         position, heading, velocity, yaw_rate = (draw_log(getattr(self, name), uniform) for name in NOISES)
         return position, position, heading, velocity, velocity, yaw_rate
 

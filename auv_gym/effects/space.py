@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from auv_gym.effects.actuators import Astern, Delay, Reach, fin_share, known_torque
+from auv_gym.effects.actuators import Astern, Delay, Fins, Reach
 from auv_gym.effects.autopilot import Autopilot
 from auv_gym.effects.base import At, Effect
 from auv_gym.effects.current import Shear
@@ -25,6 +25,8 @@ MAX_PITCH = math.radians(80.0)
 class SpaceFins(Effect):
     """The moments of fins grow with the squared speed through water: `Actuators.fin`, for yaw and pitch."""
 
+    thrust, limits = staticmethod(Fins.thrust), staticmethod(Fins.limits)
+
     class Constants(NamedTuple):
         """Its numbers in an episode."""
 
@@ -41,19 +43,6 @@ class SpaceFins(Effect):
         """Return the numbers of both pairs of fins."""
         fins: tuple[Number, ...] = scenario.vertical.fins(scenario.actuators)
         return fins
-
-    @staticmethod
-    def thrust(thrust: Sequence[Number], at: At) -> tuple[Number, ...]:
-        """Return force and moments at action 1 for the speed through water."""
-        u, (surge, *moments), (_, *most) = at.true("u"), thrust, at.limits
-        each = zip(moments, at.own, most, strict=True)
-        return surge, *(moment * fin_share(u, fin, limit, at.ns) for moment, fin, limit in each)
-
-    @staticmethod
-    def limits(limits: Sequence[Number], at: At) -> tuple[Number, ...]:
-        """Return the limits for the measured speed over ground."""
-        u, (surge, *most) = at.true("u"), limits
-        return surge, *(known_torque(u, fin, limit, at.ns) for fin, limit in zip(at.own, most, strict=True))
 
 
 class SpaceLift(Effect):

@@ -177,20 +177,15 @@ class SubEnvironments:
         try:
             for places in map(np.array, groups.values()):
                 scenario = self.scenarios[int(indices[places[0]])]
-                if scenario.vertical is not None and len(places) > 1:
-                    some, refused = self._batch(scenario, places, [generators[i] for i in indices[places].tolist()])
-                    planned += some
-                    for place in refused:
-                        generators[indices[place]].bit_generator.state = states[int(indices[place])]
-                    single += refused
-                    continue
-                if len(places) < FEWEST_ROWS or not drawn_as_rows(scenario):
+                space = scenario.vertical is not None
+                if len(places) < (2 if space else FEWEST_ROWS) or not (space or drawn_as_rows(scenario)):
                     single += places.tolist()
                     continue
-                rows, refused = self._rows(scenario, places, [generators[i] for i in indices[places].tolist()])
+                make = self._batch if space else self._rows
+                some, refused = make(scenario, places, [generators[i] for i in indices[places].tolist()])
                 for place in refused:
                     generators[indices[place]].bit_generator.state = states[int(indices[place])]
-                planned += rows
+                planned += some
                 single += refused
             for place in single:
                 i = int(indices[place])

@@ -63,10 +63,6 @@ def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else high if value > high else value
 
 
-def _where(condition: bool, yes: float, no: float) -> float:
-    return yes if condition else no
-
-
 def _clip_array(value: Number, low: Number, high: Number) -> Number:
     return np.minimum(np.maximum(value, low), high)  # a third of np.clip's cost on small arrays
 
@@ -79,53 +75,36 @@ def _scaled_floats(rows: Any, factors: Constants) -> Any:
     return scaled
 
 
-def _bounded_floats(rows: Any, bounds: Constants) -> Any:
-    return _clip_array(rows, -bounds.array, bounds.array)
-
-
 def _scaled_arrays(rows: Any, factors: Constants) -> Any:
     scaled = np.array(rows, dtype=np.float64)  # rows stay contiguous: transposing takes a tenth of the time of a step
     scaled *= factors.column
     return scaled
 
 
-def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
-    return _clip_array(rows, -bounds.column, bounds.column)
+def scaled_components(rows: Any, factors: Constants) -> list[Any]:
+    """Return each component times its constant."""
+    return [row * factor for row, factor in zip(rows, factors.numbers, strict=True)]
 
 
-_floor = (1.0).__rfloordiv__  # as math.floor, but also for nan and infinity
+_IN_MATH = ("sin", "cos", "sqrt", "exp", "log", "hypot")
+_IN_NUMPY = (*_IN_MATH, "arctan2", "arcsin", "floor", "where", "stack")  # torch has the same names
 FLOATS = Namespace(
-    sin=math.sin,
-    cos=math.cos,
-    sqrt=math.sqrt,
-    exp=math.exp,
-    log=math.log,
-    hypot=math.hypot,
+    **{name: getattr(math, name) for name in _IN_MATH},
     arctan2=math.atan2,
     arcsin=math.asin,
-    floor=_floor,
+    floor=(1.0).__rfloordiv__,  # as math.floor, but also for nan and infinity
     clip=_clip,
-    where=_where,
+    where=lambda condition, yes, no: yes if condition else no,
     scaled=_scaled_floats,
-    bounded=_bounded_floats,
+    bounded=lambda rows, bounds: _clip_array(rows, -bounds.array, bounds.array),
     stack=np.array,
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
-    sin=np.sin,
-    cos=np.cos,
-    sqrt=np.sqrt,
-    exp=np.exp,
-    log=np.log,
-    hypot=np.hypot,
-    arctan2=np.arctan2,
-    arcsin=np.arcsin,
-    floor=np.floor,
+    **{name: getattr(np, name) for name in _IN_NUMPY},
     clip=_clip_array,
-    where=np.where,
     scaled=_scaled_arrays,
-    bounded=_bounded_arrays,
-    stack=np.stack,
+    bounded=lambda rows, bounds: _clip_array(rows, -bounds.column, bounds.column),
 )
 """The namespace of NumPy arrays, one row for each component."""
 
@@ -135,9 +114,6 @@ def tensors() -> Namespace:
     """Return the namespace of torch tensors; torch is imported by the first call."""
     import torch
 
-    def scaled(rows: Any, factors: Constants) -> Any:
-        return [x * k for x, k in zip(rows, factors.numbers, strict=True)]
-
     def clip(x: Any, low: Any, high: Any) -> Any:
         if isinstance(low, torch.Tensor) == isinstance(high, torch.Tensor):
             return torch.clamp(x, low, high)
@@ -146,22 +122,8 @@ def tensors() -> Namespace:
     def bounded(rows: Any, bounds: Constants) -> Any:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
 
-    return Namespace(
-        sin=torch.sin,
-        cos=torch.cos,
-        sqrt=torch.sqrt,
-        exp=torch.exp,
-        log=torch.log,
-        hypot=torch.hypot,
-        arctan2=torch.arctan2,
-        arcsin=torch.arcsin,
-        floor=torch.floor,
-        clip=clip,
-        where=torch.where,
-        scaled=scaled,
-        bounded=bounded,
-        stack=torch.stack,
-    )
+    functions = {name: getattr(torch, name) for name in _IN_NUMPY}
+    return Namespace(**functions, clip=clip, scaled=scaled_components, bounded=bounded)
 
 
 def wrap_angle(angle: Number, ns: Namespace = FLOATS) -> Number:

@@ -34,7 +34,8 @@ def numbered(cls: type[T]) -> T:
     places = count()
 
     def instance(kind: Any) -> Any:
-        hints = [get_type_hints(kind)[name] for name in kind._fields if name not in kind._field_defaults]
+        types = get_type_hints(kind)
+        hints = (types.get(name) for name in kind._fields if name not in kind._field_defaults)
         return kind(*(instance(hint) if hasattr(hint, "_fields") else next(places) for hint in hints))
 
     made: T = instance(cls)

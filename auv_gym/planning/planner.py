@@ -322,15 +322,20 @@ class _Grid(NamedTuple):
         return times
 
 
-def _derivatives(path: Path, times: Array) -> Array:
-    """Return the `Path.derivatives` at T times as an array of shape (8, T)."""
+def checked_derivatives(path: Any, times: Array, axes: int = 2) -> Array:
+    """Return the `derivatives` of a path at T times; raise ValueError unless their shape is (4, axes, T)."""
     derivatives = np.asarray(path.derivatives(times), dtype=np.float64)
-    if derivatives.shape != (4, 2, len(times)):
+    if derivatives.shape != (shape := (4, axes, len(times))):
         raise ValueError(
             f"{type(path).__name__}.derivatives returns an array of shape {derivatives.shape} for {len(times)} times; "
-            f"it must be (4, 2, {len(times)})"
+            f"it must be {shape}"
         )
-    return np.ascontiguousarray(derivatives.reshape(8, -1))
+    return derivatives
+
+
+def _derivatives(path: Path, times: Array) -> Array:
+    """Return the `Path.derivatives` at T times as an array of shape (8, T)."""
+    return np.ascontiguousarray(checked_derivatives(path, times).reshape(8, -1))
 
 
 def checked_grid(times: Array, path: Any) -> Array:

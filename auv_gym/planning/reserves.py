@@ -13,6 +13,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError, torque_limit
 from auv_gym.planning.paths import Path
+from auv_gym.planning.paths.base import OfPath
 from auv_gym.planning.planner import plan
 
 
@@ -24,26 +25,11 @@ class Reserves(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ThroughWater:
+class ThroughWater(OfPath):
     """A path over ground as a `Path` relative to water that flows with a constant current."""
 
     path: Path
     current: CurrentVelocity  # [m/s]
-
-    @property
-    def speed(self) -> float:
-        """Nominal speed over ground [m/s]."""
-        return self.path.speed
-
-    @property
-    def start(self) -> float:
-        """First time of the domain [s]."""
-        return self.path.start
-
-    @property
-    def end(self) -> float:
-        """Last time of the domain [s]."""
-        return self.path.end
 
     def derivatives(self, t: Array) -> Array:
         """Return position [m] and its first three time derivatives at times of shape (T,), see `Path.derivatives`."""

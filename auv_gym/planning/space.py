@@ -32,7 +32,7 @@ from auv_gym.planning.feasibility import (
     torque_limit,
 )
 from auv_gym.planning.paths.space import SpacePath
-from auv_gym.planning.planner import MAX_SAMPLES, RUN_IN, checked_grid
+from auv_gym.planning.planner import MAX_SAMPLES, RUN_IN, checked_derivatives, checked_grid
 from auv_gym.planning.sideslip import MAX_SIDESLIP
 
 T = TypeVar("T")
@@ -164,7 +164,7 @@ class SpacePlanner:
         Raises:
             ValueError: the plan needs too many samples, or `path.derivatives` returns an array of another shape.
         """
-        fast, slow = _rates(steady_axis(_derivatives(path, self.times), self._row)[1])
+        fast, slow = _rates(steady_axis(checked_derivatives(path, self.times, 3), self._row)[1])
         time, instants = self.vehicle.horizontal.time, len(self.times)
         substeps = _power(self._period * min(fast, _FASTEST / time) / _MAX_STEP)
         run_in = _power(RUN_IN * min(1 / slow, _SLOWEST * time) / self._period)
@@ -182,7 +182,7 @@ class SpacePlanner:
         steps = lead + (len(times) - 1) * substeps
         samples: Array = times[0] + 0.5 * h * np.arange(-2 * lead, 2 * (steps - lead) + 1)
         samples[-1] = times[-1]  # exactly, since rounding could exceed the end of the path
-        derivatives = np.stack([_derivatives(path, samples) for path in paths], axis=-1)
+        derivatives = np.stack([checked_derivatives(path, samples, 3) for path in paths], axis=-1)
         turning = self._turning(derivatives, h)[:, lead:]
         each = ((derivatives[..., k], turning[..., k]) for k in range(len(paths)))
         return [_tried(self._checked, *one, samples, lead, substeps) for one in each]
@@ -225,16 +225,6 @@ def _tried(function: Callable[..., T], *arguments: Any) -> T | ValueError:
         return function(*arguments)
     except ValueError as error:
         return error
-
-
-def _derivatives(path: SpacePath, times: Array) -> Array:
-    derivatives = np.asarray(path.derivatives(times), dtype=np.float64)
-    if derivatives.shape != (shape := (4, 3, len(times))):
-        raise ValueError(
-            f"{type(path).__name__}.derivatives returns an array of shape {derivatives.shape} for {len(times)} times; "
-            f"it must be {shape}"
-        )
-    return derivatives
 
 
 def _check_path(derivatives: Array, vehicle: SpaceVehicle, times: Array) -> None:

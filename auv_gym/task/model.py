@@ -6,6 +6,7 @@ torque.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,46 +21,6 @@ from auv_gym.physics.vehicle import Coefficients
 from auv_gym.task.observation import Layout, Observation
 
 
-class Plant(NamedTuple):
-    """The states of vehicle, actuators and memory at one control instant: floats, arrays (N,) or tensors."""
-
-    x: Number  # [m]
-    y: Number  # [m]
-    psi: Number  # [rad]
-    u: Number  # [m/s] relative to the water
-    v: Number  # [m/s]
-    r: Number  # [rad/s]
-    F_u: Number  # [N] of the actuators
-    F_r: Number  # [N m]
-    a_u: Number  # last action
-    a_r: Number
-    memory: tuple[Number, ...] = ()  # of the effects in use, rows after the others
-
-
-class Sample(NamedTuple):
-    """The exogenous inputs at one control instant; current and load act over the period that ends there."""
-
-    x_R: Number  # [m] reference
-    y_R: Number  # [m]
-    psi_R: Number  # [rad]
-    u_R: Number  # [m/s]
-    v_R: Number  # [m/s]
-    r_R: Number  # [rad/s]
-    F_uR: Number  # [N]
-    F_rR: Number  # [N m]
-    V_x: Number  # [m/s] current without shear
-    V_y: Number  # [m/s]
-    X: Number  # [N] external load
-    Y: Number  # [N]
-    N: Number  # [N m]
-    n_x: Number  # [m] measurement errors
-    n_y: Number  # [m]
-    n_psi: Number  # [rad]
-    n_u: Number  # [m/s]
-    n_v: Number  # [m/s]
-    n_r: Number  # [rad/s]
-
-
 class ReferencePoint(NamedTuple):
     """The reference at one time."""
 
@@ -71,6 +32,33 @@ class ReferencePoint(NamedTuple):
     r: float  # [rad/s]
     F_u: float  # [N]
     F_r: float  # [N m]
+
+
+def plant_of(reference: Any, module: str) -> Any:
+    """Return the NamedTuple of the states of vehicle, actuators and memory at one control instant, in a module.
+
+    Its numbers are those of a reference, with velocities relative to the water and the forces of the actuators, then
+    the last action a_c of each channel; floats, arrays (N,) or tensors. `memory` is that of the effects in use, rows
+    after the others.
+    """
+    last = [name.replace("F_", "a_") for name in reference._fields if name.startswith("F_")]
+    return namedtuple("Plant", (*reference._fields, *last, "memory"), defaults=((),), module=module)
+
+
+def sample_of(reference: Any, current: Sequence[str], load: Sequence[str], module: str) -> Any:
+    """Return the NamedTuple of the exogenous inputs at one control instant, in a module.
+
+    They are the reference, the current [m/s], the external load [N], [N m], and the errors n_c of the measured state,
+    in the units of the reference. Current and load act over the period that ends there. The current is the one without
+    shear, in space at the depth of the first reference.
+    """
+    noise = (f"n_{name}" for name in reference._fields if not name.startswith("F_"))
+    names = (f"{name}R" if name.startswith("F_") else f"{name}_R" for name in reference._fields)
+    return namedtuple("Sample", (*names, *current, *load, *noise), module=module)
+
+
+Plant, Sample = plant_of(ReferencePoint, __name__), sample_of(ReferencePoint, ("V_x", "V_y"), ("X", "Y", "N"), __name__)
+"""Plant and sample of motion in the plane."""
 
 
 class Parameters(NamedTuple):

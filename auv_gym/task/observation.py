@@ -166,7 +166,6 @@ TERMS, SIZE, SCALES, ERROR_TERMS = PLANE_LAYOUT.terms, PLANE_LAYOUT.size, PLANE_
 """The terms of an observation in the plane in their order, their number, their divisors, and how many are clipped."""
 bounds, encode, decode = PLANE_LAYOUT.bounds, PLANE_LAYOUT.encode, PLANE_LAYOUT.decode
 action_of, decoded_terms = PLANE_LAYOUT.action_of, PLANE_LAYOUT.terms_of
-BOUNDS = bounds(1)  # (SIZE,) bounds of the scaled terms
 
 
 def encode_observation(terms: Sequence[float], bound_factor: int = 1) -> NDArray[np.float64]:

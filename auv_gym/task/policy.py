@@ -14,8 +14,6 @@ from auv_gym.physics.intervals import is_float
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Namespace, Number
 from auv_gym.task.observation import PLANE_LAYOUT, Layout
 
-POSITIVE = PLANE_LAYOUT.positive
-"""Indices of the limits and the control period, which are positive in a valid observation in the plane."""
 LARGEST = 1e12
 """Largest magnitude of a valid entry of an observation; those of the largest ships are below 2e11."""
 Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, ...]]

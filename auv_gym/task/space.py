@@ -14,66 +14,8 @@ from auv_gym.effects.actuators import Response
 from auv_gym.physics import space
 from auv_gym.physics.namespaces import Namespace, Number, sum_of
 from auv_gym.physics.space import SpaceCoefficients, axes
-from auv_gym.task.model import Model
+from auv_gym.task.model import Model, plant_of, sample_of
 from auv_gym.task.observation import L, V, W
-
-
-class Plant(NamedTuple):
-    """The states of vehicle, actuators and memory at one control instant: floats, arrays (N,) or tensors."""
-
-    x: Number  # [m]
-    y: Number  # [m]
-    z: Number  # [m]
-    theta: Number  # [rad]
-    psi: Number  # [rad]
-    u: Number  # [m/s] relative to the water
-    v: Number  # [m/s]
-    w: Number  # [m/s]
-    q: Number  # [rad/s]
-    r: Number  # [rad/s]
-    F_u: Number  # [N] of the actuators
-    F_q: Number  # [N m]
-    F_r: Number  # [N m]
-    a_u: Number  # last action
-    a_q: Number
-    a_r: Number
-    memory: tuple[Number, ...] = ()  # of the effects in use, rows after the others
-
-
-class Sample(NamedTuple):
-    """The exogenous inputs at one control instant; current and load act over the period that ends there."""
-
-    x_R: Number  # [m] reference
-    y_R: Number  # [m]
-    z_R: Number  # [m]
-    theta_R: Number  # [rad]
-    psi_R: Number  # [rad]
-    u_R: Number  # [m/s]
-    v_R: Number  # [m/s]
-    w_R: Number  # [m/s]
-    q_R: Number  # [rad/s]
-    r_R: Number  # [rad/s]
-    F_uR: Number  # [N]
-    F_qR: Number  # [N m]
-    F_rR: Number  # [N m]
-    V_x: Number  # [m/s] current at the depth of the first reference
-    V_y: Number  # [m/s]
-    V_z: Number  # [m/s]
-    X: Number  # [N] external load
-    Y: Number  # [N]
-    Z: Number  # [N]
-    M: Number  # [N m]
-    N: Number  # [N m]
-    n_x: Number  # [m] measurement errors
-    n_y: Number  # [m]
-    n_z: Number  # [m]
-    n_theta: Number  # [rad]
-    n_psi: Number  # [rad]
-    n_u: Number  # [m/s]
-    n_v: Number  # [m/s]
-    n_w: Number  # [m/s]
-    n_q: Number  # [rad/s]
-    n_r: Number  # [rad/s]
 
 
 class ReferencePoint(NamedTuple):
@@ -92,6 +34,11 @@ class ReferencePoint(NamedTuple):
     F_u: float  # [N]
     F_q: float  # [N m]
     F_r: float  # [N m]
+
+
+_CURRENT, _LOAD = ("V_x", "V_y", "V_z"), ("X", "Y", "Z", "M", "N")
+Plant, Sample = plant_of(ReferencePoint, __name__), sample_of(ReferencePoint, _CURRENT, _LOAD, __name__)
+"""Plant and sample of motion in space."""
 
 
 class SpaceResponse(NamedTuple):
@@ -218,8 +165,8 @@ SPACE = Model(
     driven=("X", "M", "N"),
     position=("x", "y", "z"),
     velocity=("u", "v", "w"),
-    current=("V_x", "V_y", "V_z"),
-    load=("X", "Y", "Z", "M", "N"),
+    current=_CURRENT,
+    load=_LOAD,
     advance=space.rk4_step,
     from_outside=space.load_from_outside,
     over_ground=_over_ground,

@@ -48,11 +48,6 @@ class Score:
     ci95: tuple[float, float]
 
 
-def score_text(value: Score | None, digits: int = 3) -> str:
-    """Return a score as text, "-" if there is none."""
-    return fixed(value.mean, digits) if value and math.isfinite(value.mean) else "-"
-
-
 def interval_text(value: Score | None, digits: int = 3) -> str:
     """Return the interval of a score as text, "-" if there is none."""
     return fixed_ends(value.ci95, digits) if value and math.isfinite(value.ci95[0]) else "-"

@@ -31,6 +31,3 @@ STUDIES = Seeds(40_000_000, 150_000_000)
 """For the studies of the project."""
 TRAINING = Seeds(1_000_000_000, 2**62)
 """For the training of agents."""
-
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, STUDIES, TRAINING)
-"""All ranges in ascending order; they do not overlap."""

@@ -65,11 +65,6 @@ def sha256(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def seed_of(secret: str) -> int:
-    """Return the seed of a secret, a number of 64 bits."""
-    return int.from_bytes(hashlib.sha256(b"episodes " + secret.encode()).digest()[:8], "big")
-
-
 def seals() -> dict[str, Seal]:
     """Return the seals, by the names of their suites."""
     return {name: Seal(**entry) for name, entry in read_json(SEALS).items()}
@@ -100,7 +95,7 @@ def seed(name: str) -> int:
         raise SuiteError(f"{name} is sealed: its episodes are published after all policies are frozen")
     if seal.worlds != worlds_hash(name):
         raise SuiteError(f"the scenarios of {name} have changed since it was sealed")
-    return seed_of(seal.secret)
+    return int.from_bytes(hashlib.sha256(b"episodes " + seal.secret.encode()).digest()[:8], "big")
 
 
 def worlds_hash(name: str) -> str:

@@ -13,26 +13,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
+from pictures import SIZE, VIEW, count
 
 from auv_gym.rendering import Renderer, View
 from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, PLAN, VEHICLE, WHITE
 
 pygame = pytest.importorskip("pygame")
-
-SIZE = (480, 360)
-VIEW = View(
-    time=3.0,
-    state=(-1.5, 0.5, 0.0, 0.1, 0.0, 0.0),
-    reference=(1.5, 0.5, 0.3),
-    path=np.column_stack((np.linspace(-20.0, 20.0, 200), np.full(200, 0.5))),
-    travelled=107,
-    trail=np.column_stack((np.linspace(-4.0, -1.5, 30), np.full(30, 0.5))),
-    current=(0.0, 0.0),
-    force=(7.0, -0.5),
-    force_limits=(200.0, 50.0),
-    position_error=3.0,
-    title="paper-circle",
-)
 
 
 def picture(view: View = VIEW, size: tuple[int, int] = SIZE) -> np.ndarray:
@@ -40,11 +26,6 @@ def picture(view: View = VIEW, size: tuple[int, int] = SIZE) -> np.ndarray:
     array = Renderer("rgb_array", fps=20.0, size=size).draw(view)
     assert array is not None
     return array
-
-
-def count(array: np.ndarray, color: tuple[int, int, int], tolerance: int = 12) -> int:
-    """Return the number of pixels of about this colour."""
-    return int((np.abs(array.astype(int) - color).max(axis=-1) <= tolerance).sum())
 
 
 @pytest.fixture

@@ -5,46 +5,29 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from pictures import SIZE, VIEW, count
 
 from auv_gym.envs.space import UnderactuatedAUVTrack3DEnv
 from auv_gym.physics.space import axes
 from auv_gym.rendering import Renderer, View, two_planes
 from auv_gym.rendering.canvas import PLAN, VEHICLE, WHITE
 
-SIZE = (480, 360)
 MAP, SIDE = (slice(100, 180), slice(150, 320)), slice(240, 360)  # without cards; below
-VIEW = View(
-    time=3.0,
-    state=(-1.5, 0.5, 0.0, 0.1, 0.0, 0.0),
-    reference=(1.5, 0.5, 0.3),
-    path=np.column_stack((np.linspace(-20.0, 20.0, 200), np.full(200, 0.5))),
-    travelled=107,
-    trail=np.column_stack((np.linspace(-4.0, -1.5, 30), np.full(30, 0.5))),
-    current=(0.0, 0.0),
-    force=(7.0, 20.0, -0.5),
-    force_limits=(200.0, 40.0, 50.0),
-    position_error=3.0,
-    title="space-calm",
-)
+ABOVE = VIEW._replace(force=(7.0, 20.0, -0.5), force_limits=(200.0, 40.0, 50.0), title="space-calm")
 DOWN = np.array((0.0, 20.0))
-DEEP = VIEW._replace(path=VIEW.path - DOWN, trail=VIEW.trail - DOWN, state=(-1.5, -19.5, 0.3, 1.0, 0.0, 0.0))
+DEEP = ABOVE._replace(path=VIEW.path - DOWN, trail=VIEW.trail - DOWN, state=(-1.5, -19.5, 0.3, 1.0, 0.0, 0.0))
 DEEP = DEEP._replace(reference=(1.5, -19.5, 0.2))
 
 
-def drawn(view=VIEW, side=DEEP):
+def drawn(view=ABOVE, side=DEEP):
     """Return the first picture of both views."""
     return Renderer("rgb_array", 20.0, SIZE).draw(view, side)
-
-
-def count(array, color, tolerance=12):
-    """Return the number of pixels of about this colour."""
-    return int((np.abs(array.astype(int) - color).max(axis=-1) <= tolerance).sum())
 
 
 def test_each_view_shows_its_own_plane():
     first = drawn()
     deeper = drawn(side=DEEP._replace(state=(-1.5, -22.0, 0.3, 1.0, 0.0, 0.0)))
-    aside = drawn(VIEW._replace(state=(-1.5, 2.5, 0.0, 0.1, 0.0, 0.0)))
+    aside = drawn(ABOVE._replace(state=(-1.5, 2.5, 0.0, 0.1, 0.0, 0.0)))
     assert first.shape == (360, 480, 3)
     np.testing.assert_array_equal(first[MAP], deeper[MAP])
     np.testing.assert_array_equal(first[SIDE], aside[SIDE])

@@ -23,7 +23,7 @@ def test_decoding_returns_the_encoded_numbers_exactly(terms):
 @given(st.tuples(*[st.floats(-1e6, 1e6)] * 6))
 def test_observation_stays_in_its_bounds(errors):
     observation = task.encode_observation((*errors, *[0.0] * (task.SIZE - 6)))
-    assert (np.abs(observation[[0, 1, 3, 4, 5]]) <= task.BOUNDS[[0, 1, 3, 4, 5]]).all()
+    assert (np.abs(observation[[0, 1, 3, 4, 5]]) <= task.bounds(1)[[0, 1, 3, 4, 5]]).all()
 
 
 SCALES = {

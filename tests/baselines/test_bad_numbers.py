@@ -7,8 +7,8 @@ import pytest
 from marks import slow_except
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.task.observation import SIZE, Observation, encode_observation
-from auv_gym.task.policy import LARGEST, POSITIVE, last_commands, measured, preview_of, usable
+from auv_gym.task.observation import PLANE_LAYOUT, SIZE, Observation, encode_observation
+from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, usable
 from baselines import list_policies, make_policy
 from baselines.policy import Privileged, Remembering
 
@@ -56,7 +56,7 @@ def test_one_vehicle_repeats_its_command(name):
     own, good, after = of_vehicle(memory, 1), observation[1], following[1]
     expected, kept = policy.predict(after, own)
     for column in range(len(good)):
-        for value in (*BAD, *NOT_POSITIVE) if column in POSITIVE else BAD:
+        for value in (*BAD, *NOT_POSITIVE) if column in PLANE_LAYOUT.positive else BAD:
             bad = good.copy()
             bad[column] = value
             action, held = policy.predict(bad, own)
@@ -69,7 +69,7 @@ def test_one_vehicle_repeats_its_command(name):
     again, remembered = policy.predict(after, held)
     np.testing.assert_array_equal(again, expected)
     assert_same(remembered, kept)
-    assert policy.repeated == len(good) * len(BAD) + len(POSITIVE) * len(NOT_POSITIVE)
+    assert policy.repeated == len(good) * len(BAD) + len(PLANE_LAYOUT.positive) * len(NOT_POSITIVE)
 
 
 @pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])

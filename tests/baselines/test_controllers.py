@@ -16,7 +16,7 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Start
-from auv_gym.task.observation import BOUNDS, SCALES
+from auv_gym.task.observation import SCALES, bounds
 from auv_gym.task.policy import preview_of
 from baselines.control.ilos import IlosMemory
 from baselines.control.linearisation import error_dynamics
@@ -106,7 +106,7 @@ def observations(n):
 def test_memory_is_bounded_at_any_distance(name):
     policy = baselines.make_policy(name)
     rows = observations(4).copy()
-    rows[:, :2] = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]]) * BOUNDS[:2]
+    rows[:, :2] = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]]) * bounds(1)[:2]
     rows[2:, 15] = 1.0  # the surge actuator at its limit
     memory = None
     for _ in range(1000):

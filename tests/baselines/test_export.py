@@ -23,8 +23,7 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.missions import mission_scenario, read_mission
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Start
-from auv_gym.task.observation import SIZE
-from auv_gym.task.policy import POSITIVE
+from auv_gym.task.observation import PLANE_LAYOUT, SIZE
 from baselines import __main__ as program
 from baselines import make_policy
 from baselines.agents.agent import Agent
@@ -247,7 +246,7 @@ def test_a_header_repeats_one_command_for_a_bad_input(agent, precision):
     assert [it.steer(it.view(k)) for k in range(5)] == [0] * 5
     assert it.command.any()
     memory, command = it.memory.copy(), it.command.copy()
-    encoded = it.observation, lambda row: it.call("step", it.memory, row, it.command), POSITIVE
+    encoded = it.observation, lambda row: it.call("step", it.memory, row, it.command), PLANE_LAYOUT.positive
     for make, call, positive in ((it.view, it.steer, (14, 15, 16)), encoded):  # limits and control period
         for i in range(len(make(5))):
             for value in (*BAD, 0.0, -1.0) if i in positive else BAD:
@@ -281,7 +280,7 @@ def test_a_model_repeats_one_command_for_a_bad_input(agent):
     *expected, repeated = session.run(None, {"observation": good, **given})
     assert not repeated.any()
     for i in range(good.shape[1]):
-        for value in (*BAD, 0.0, -1.0) if i in POSITIVE else BAD:
+        for value in (*BAD, 0.0, -1.0) if i in PLANE_LAYOUT.positive else BAD:
             bad = good.copy()
             bad[0, i] = value
             action, *memory, repeated = session.run(None, {"observation": bad, **given})

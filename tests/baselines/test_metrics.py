@@ -28,7 +28,6 @@ from baselines.evaluation.score import (
     interval_text,
     relative_error,
     score,
-    score_text,
     unit_of,
 )
 
@@ -131,10 +130,9 @@ def test_ranking_has_the_best_first_and_failed_runs_last():
 
 def test_scores_as_text():
     s = Score(0.12345, (-0.0001, 123.4))
-    assert (score_text(s), score_text(s, 1), interval_text(s)) == ("0.123", "0.1", "0.000 ... 123")
-    assert fixed(s.mean) == "0.123"
+    assert (fixed(s.mean), fixed(s.mean, 1), interval_text(s)) == ("0.123", "0.1", "0.000 ... 123")
     assert fixed_ends((0.1, 0.25)) == "0.100 ... 0.250"
-    assert {score_text(None), interval_text(None), score_text(Score(math.nan, (math.nan, math.nan)))} == {"-"}
+    assert {interval_text(None), interval_text(Score(math.nan, (math.nan, math.nan)))} == {"-"}
 
 
 def test_score_intervals_are_paired():

@@ -49,6 +49,27 @@ class Path(Protocol):
         """
 
 
+class OfPath:
+    """A path with the nominal speed and the domain of a planar one, its field `path`."""
+
+    path: Path
+
+    @property
+    def speed(self) -> float:
+        """Nominal speed of the planar path [m/s]."""
+        return self.path.speed
+
+    @property
+    def start(self) -> float:
+        """First time of the domain [s]."""
+        return self.path.start
+
+    @property
+    def end(self) -> float:
+        """Last time of the domain [s]."""
+        return self.path.end
+
+
 _ROUNDING = 1e-9  # tolerance at the ends of the domain [s]
 
 

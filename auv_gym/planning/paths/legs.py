@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -13,7 +12,7 @@ from numpy.polynomial.legendre import leggauss
 
 from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.planning.paths.base import checked_times, is_number
-from auv_gym.planning.paths.waypoints import checked_waypoints
+from auv_gym.planning.paths.waypoints import check_speeds, checked_waypoints
 
 _NODES, _WEIGHTS = 0.5 * leggauss(24)[0] + 0.5, 0.5 * leggauss(24)[1]  # Gauss-Legendre on [0, 1]
 _PEAK = 15 / 8  # largest slope of the step S
@@ -57,11 +56,7 @@ class Legs:
             if not is_number(getattr(self, name), "positive"):
                 raise ValueError(f"Legs: {name} must be finite and positive, got {getattr(self, name)!r}")
         legs = len(self.waypoints) - (0 if self.closed else 1)
-        if not isinstance(self.speeds, Sequence) or len(self.speeds) not in (0, legs):
-            raise ValueError(f"Legs: speeds must be none or one for each of {legs} legs, got {self.speeds!r}")
-        for k, value in enumerate(self.speeds):
-            if not is_number(value, "positive"):
-                raise ValueError(f"Legs: speeds must be finite and positive, got {value!r} on leg {k}")
+        check_speeds("Legs", self.speeds, legs, "legs", "on leg")
         last = [k - 1 for k in (*kept[1:], *((len(self.waypoints),) if self.closed else ()))]  # of those at one place
         object.__setattr__(self, "waypoints", tuple(map(tuple, points.tolist())))
         object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in last) if self.speeds else ())

@@ -17,7 +17,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import Path, validate
+from auv_gym.planning.paths.base import OfPath, Path, validate
 
 
 class SpacePath(ABC):
@@ -166,30 +166,15 @@ def _sine(amplitude: float, frequency: float, phase: float, t: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class WithHeight(SpacePath):
+class WithHeight(OfPath, SpacePath):
     """A planar path with a height: a `SpacePath`. The speed of the planar path is the level part of the speed."""
 
     path: Path
     height: Height
     z0: float = 0.0  # [m] height at which that of `height` is 0
 
-    @property
-    def speed(self) -> float:
-        """Nominal speed of the planar path [m/s]."""
-        return self.path.speed
-
-    @property
-    def start(self) -> float:
-        """First time of the domain [s]."""
-        return self.path.start
-
-    @property
-    def end(self) -> float:
-        """Last time of the domain [s]."""
-        return self.path.end
-
     def derivatives(self, t: Array) -> Array:
-        """Return position [m] and its first three time derivatives at times of shape (T,), an array (4, 3, T)."""
+        """See `SpacePath.derivatives`."""
         t = np.asarray(t, dtype=np.float64)
         level, height = np.asarray(self.path.derivatives(t)), self.height.derivatives(t)
         height[0] += self.z0
@@ -217,7 +202,7 @@ class Trefoil(SpacePath):
         validate(self, positive=("size",), nonzero=("frequency",))
 
     def derivatives(self, t: Array) -> Array:
-        """Return position [m] and its first three time derivatives at times of shape (T,), an array (4, 3, T)."""
+        """See `SpacePath.derivatives`."""
         A, t, quarter = self.size, np.asarray(t, dtype=np.float64), 0.5 * math.pi
 
         def part(amplitude: float, multiple: int, lead: float = 0.0) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,7 +12,7 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths.base import checked_times, is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
-from auv_gym.planning.paths.waypoints import WaypointWarning, checked_waypoints
+from auv_gym.planning.paths.waypoints import WaypointWarning, check_speeds, checked_waypoints
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,9 @@ class Spline:
 
     def __post_init__(self) -> None:
         points, kept = checked_waypoints("Spline", self.waypoints, self.closed)
-        _validate_speeds(self.speed, self.speeds, len(self.waypoints))
+        if not is_number(self.speed, "positive"):
+            raise ValueError(f"Spline: speed must be finite and positive, got {self.speed!r}")
+        check_speeds("Spline", self.speeds, len(self.waypoints), "waypoints", "at waypoint")
         object.__setattr__(self, "waypoints", tuple(map(tuple, points.tolist())))
         object.__setattr__(self, "speeds", tuple(float(self.speeds[k]) for k in kept) if self.speeds else ())
         self._law.check_length()  # raises ValueError for an impossible path
@@ -155,16 +156,6 @@ def _travel_time(curve: Any, pace: Any, a: Array, b: Array) -> Array:
     p1 = curve(nodes, 1)
     times: Array = (b - a) * ((np.hypot(p1[..., 0], p1[..., 1]) / pace(nodes)) @ _WEIGHTS)
     return times
-
-
-def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:
-    if not is_number(speed, "positive"):
-        raise ValueError(f"Spline: speed must be finite and positive, got {speed!r}")
-    if not isinstance(speeds, Sequence) or len(speeds) not in (0, count):
-        raise ValueError(f"Spline: speeds must be none or one for each of {count} waypoints, got {speeds!r}")
-    for k, value in enumerate(speeds):
-        if not is_number(value, "positive"):
-            raise ValueError(f"Spline: speeds must be finite and positive, got {value!r} at waypoint {k}")
 
 
 def _check_pace(pace: Any, chords: Array) -> None:

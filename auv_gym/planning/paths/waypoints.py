@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from auv_gym.planning.paths.base import is_number
 
 NEAR = 0.1
 """Distance [m] below which successive waypoints are one."""
@@ -59,6 +60,18 @@ def checked_waypoints(family: str, waypoints: Any, closed: bool) -> tuple[Array,
             WaypointWarning, stacklevel=4,
         )  # fmt: skip
     return points[kept], kept
+
+
+def check_speeds(family: str, speeds: Any, count: int, places: str, at: str) -> None:
+    """Raise ValueError unless the speeds [m/s] are none, or one for each of `count` places and positive.
+
+    In messages the places are `places`, and the k-th of them is "`at` k".
+    """
+    if not isinstance(speeds, Sequence) or len(speeds) not in (0, count):
+        raise ValueError(f"{family}: speeds must be none or one for each of {count} {places}, got {speeds!r}")
+    for k, value in enumerate(speeds):
+        if not is_number(value, "positive"):
+            raise ValueError(f"{family}: speeds must be finite and positive, got {value!r} {at} {k}")
 
 
 def from_geographic(

@@ -61,11 +61,6 @@ def ends(value: Sequence[float]) -> str:
     return "{:.3g} ... {:.3g}".format(*value)
 
 
-def percent(share: float) -> str:
-    """Return a share as text."""
-    return f"{100 * share:.1f} %"
-
-
 def ratio_text(value: float) -> str:
     """Return a ratio as text."""
     return f"{value:.2f}"
@@ -143,7 +138,7 @@ COLUMNS = (
            "command rate: mean squared change of the command in a step, relative to the expert's",
            lambda e, _: e.smoothness_ratio, ratio_text),
     Column("saturation", "saturated", "share of the steps with an actuator commanded to its limit",
-           lambda _, s: s.saturation, percent),
+           lambda _, s: s.saturation, lambda share: f"{100 * share:.1f} %"),
     Column("return_mean", "", "mean sum of rewards", lambda _, s: s.return_mean),
     Column("decision_ms", "time [ms]",
            "wall time of one decision for one vehicle, with many vehicles simulated together",

@@ -89,11 +89,6 @@ class NetworkArrays(NamedTuple):
     d_correction: Tensor  # with respect to the correction of a step, shape (OUTPUTS, N)
 
 
-def pass_of(network: TorchGru | TorchMlp, arrays: NetworkArrays) -> GruPass | MlpPass:
-    """Return the passes of a network; its weights may change in place between windows."""
-    return GruPass(network, arrays) if isinstance(network, TorchGru) else MlpPass(network, arrays)
-
-
 @cache
 def gates_back(precision: str) -> Kernel:
     """Return the adjoint kernel of gated recurrent units, h' = n + z (h - n).

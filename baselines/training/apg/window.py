@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import LoopKernels, RunConstants, moved_rows
-from baselines.training.apg.network import NetworkArrays, TorchGru, TorchMlp, pass_of
+from baselines.training.apg.network import GruPass, MlpPass, NetworkArrays, TorchGru, TorchMlp
 
 Act = Callable[[int, AnyArray], AnyArray]
 """Returns the actions of an expert at step k for observations (SIZE, N), shape (OUTPUTS, N)."""
@@ -100,7 +100,8 @@ class TrainingWindow:
         }
         tensors = (self._features, self._carried.hidden, self._carried.correction)
         derivatives = (self._d["d_features"], self._d["d_correction"])
-        self._pass = pass_of(network, NetworkArrays(*map(torch.from_numpy, (*tensors, *derivatives))))
+        arrays = NetworkArrays(*map(torch.from_numpy, (*tensors, *derivatives)))
+        self._pass = GruPass(network, arrays) if isinstance(network, TorchGru) else MlpPass(network, arrays)
         self._bind(kernels)
 
     def _zeros(self, *shape: int) -> AnyArray:

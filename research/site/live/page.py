@@ -21,8 +21,6 @@ AGENTS = ("helm",)
 """Shipped agents on the page, each for both speed ranges."""
 LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
 """Labels of the package's addresses in its metadata, and their labels on the page."""
-LARGEST_PAGE = 3_000_000
-"""Largest total size of all files, in bytes."""
 
 
 @dataclass(frozen=True)
