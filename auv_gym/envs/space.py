@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from auv_gym.envs.arguments import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.rendering import PICTURE
+from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.model import Model
 from auv_gym.task.space import SPACE
 
@@ -94,9 +95,21 @@ class UnderactuatedAUVTrack3DEnv(UnderactuatedAUVTrackEnv):
 
     kind: Model = SPACE
 
-    def __init__(self, scenario: ScenarioLike = "space-calm", *arguments: Any, **options: Any) -> None:
-        """See the class; the other arguments are those of the plane."""
-        super().__init__(scenario, *arguments, **options)
+    def __init__(
+        self,
+        scenario: ScenarioLike = "space-calm",
+        vehicle: VehicleLike | None = None,
+        control_dt: float | None = None,
+        render_mode: str | None = None,
+        preview: Sequence[int] = (),
+        render_size: Sequence[int] = PICTURE,
+    ) -> None:
+        """See the class.
+
+        Raises:
+            ValueError: an argument is wrong, or the path cannot be planned.
+        """
+        super().__init__(scenario, vehicle, control_dt, render_mode, preview, render_size)
 
 
 class UnderactuatedAUVTrack3DVectorEnv(UnderactuatedAUVTrackVectorEnv):
