@@ -82,8 +82,8 @@ def _measure(vehicle: str, policy: str, speed_range: str = _IN_PLANE, quick: boo
     made = make_policy(policy, scenario.bare)
     rows: dict[str, dict[str, Any]] = {case: {} for case in part.cases}
     for place, models in part.simulators.items():
-        space = models and SixDofSimulator(vehicle, count, models)
-        simulator = space and moved_by(lambda _, space=space: space)  # type: ignore[misc]
+        space: Any = models and SixDofSimulator(vehicle, count, models)
+        simulator: Any = space and moved_by(lambda _, space=space: space)  # type: ignore[misc]
         log, roll = EpisodeLog(scenario.steps, count, len(scenario.parts.model.channels)), np.zeros(count)
         begun = beginning([(cell.scenario, cell.episodes) for cell in cells], preview_of(made), simulator=simulator)
         for k, moment in enumerate(play(made, begun, scenario.steps)):
