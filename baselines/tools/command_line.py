@@ -16,9 +16,11 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar, get_type_hints
+from typing import Annotated, Any, NoReturn, TypeVar, get_type_hints
 
+import docstring_parser
 import tyro
 from threadpoolctl import threadpool_limits
 
@@ -57,12 +59,13 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         SystemExit: the user asked for the help, which has been printed.
     """
     program = called(program)
+    _join_lines(options)  # type: ignore[arg-type]
     if strange := [word for word in arguments if word != printable(word)]:
         raise UsageError(f"{strange[0]!r} contains characters that cannot be printed; leave them out")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
-            return tyro.cli(options, prog=program, args=list(arguments))
+            return tyro.cli(options, prog=program, args=list(arguments), config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit as end:
         if end.code in (None, 0):
             raise
@@ -71,6 +74,15 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         words = (word.partition("=")[0] for word in arguments if word[:2] == "--" and word in text)
         hint = next((meant(word, known) for word in words if word not in known), "")
         raise UsageError(f"{text}{hint}; see {program} --help") from None
+
+
+@cache
+def _join_lines(options: Any) -> None:
+    """Join the lines of the docstrings of fields, whose breaks the help would show."""
+    hints = get_type_hints(options, include_extras=True)
+    for field in docstring_parser.parse_from_object(options).params:
+        text = " ".join((field.description or "").split())
+        options.__annotations__[field.arg_name] = Annotated[hints[field.arg_name], tyro.conf.arg(help=text)]
 
 
 def printable(text: str) -> str:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import FlagCreatePairsOff, arg
+from tyro.conf import arg
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import Sea
@@ -84,7 +84,7 @@ class Options:
     path speed."""
     waves: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")] = None
     """Factor of the forces of the waves in the scenarios; 0 for none. Default: 1."""
-    no_compare: Annotated[bool, FlagCreatePairsOff] = False
+    no_compare: bool = False
     """With --vehicle: leave out the comparison at the end."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
     """Python files with effects of your own, which scenario files name: docs/make-your-own.md. They are executed."""

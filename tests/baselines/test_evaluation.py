@@ -118,7 +118,7 @@ def files(tmp_path):
     ("arguments", "message"),
     [
         (["--bogus"], "--bogus; see"),
-        (["--no-resume", "--episods=3"], "--episods=3 (did you mean '--episodes'?)"),
+        (["--resume", "--episods=3"], "--episods=3 (did you mean '--episodes'?)"),
         (["--jobs", "1.5"], "--jobs is '1.5'; it must be an integer"),
         (["--speed=fast", "--seed", "1"], "--speed is 'fast'; it must be a number"),
         (["--current", "0.1", "x"], "--current is '0.1 x'; it must be 2 numbers"),
