@@ -104,6 +104,9 @@ def test_the_sentences_about_space_are_true():
         assert (calm > 3, waves > 3) == (name in predicting,) * 2
         assert name == "ekf" or row["growth"] == pytest.approx(1.0, abs=0.15 if name == "helm-3d" else 0.06)
         assert row["roll_deg"][1] < 2.1
+    quick = record["quick"]
+    assert all(row["growth"] == pytest.approx(1.0, abs=0.1) for row in quick["policies"].values())
+    assert quick["tau"] > 0.8
     values, cap = comparison.STUDY.values(), comparison.cap_of(CALM)
     cases = [case for row in values if "space" in row and "ekf" not in row for case in values[row].values()]
     ends = np.array([[case[place]["steady_rmse"] for place in ("5-DOF", "6-DOF")] for case in cases]) > 0.999 * cap
