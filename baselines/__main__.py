@@ -72,6 +72,7 @@ def usage(program: str, commands: Mapping[str, Command]) -> str:
     lines = [f"  {name:<{width}}  {about(command)}" for name, command in commands.items()]
     head = (
         f"usage: {program} COMMAND ...\n\nauv_gym {auv_gym.__version__}. Help of a command: {program} COMMAND --help\n"
+        "The pages docs/*.md: https://auv-gym.github.io/auv_gym/\n"
     )
     return "\n".join((head, *lines))
 

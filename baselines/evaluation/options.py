@@ -15,6 +15,8 @@ class Options:
 
     The expert, backstepping, always runs too: effort and command rate are relative to it. Exit status: 0 done, 1 a
     policy failed or the results could not be written, 2 wrong usage.
+
+    Example: auv-gym evaluate --policy nmpc helm --scenario cruise-storm --episodes 20
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()

@@ -41,11 +41,13 @@ class Options:
     """Check the results of policies in a frozen suite and print their scores; with POLICY, run a share of them again.
 
     Exit status: 0 done, 1 the file is damaged or implausible or its results are not repeated, 2 wrong usage.
+
+    Example: auv-gym verify runs/evaluate/results.npz helm
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file results.npz of an evaluation."""
-    policy: Annotated[Positional[str], arg(metavar="[POLICY]")] = ""
+    policy: Annotated[Positional[str], arg(metavar="[POLICY]", help_behavior_hint="")] = ""
     """The policy, as for evaluate --policy; it may have another path now. Without a policy, no episode runs."""
     share: float = 0.05
     """Share of the episodes of each case that is run again, in (0, 1]."""

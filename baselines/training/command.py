@@ -56,6 +56,8 @@ class Options:
     """Train a network that corrects an expert; write the agent, its learning curve and a checkpoint to a folder.
 
     Exit status: 0 done, 1 the training failed or could not be written, 2 wrong usage.
+
+    Examples: auv-gym train --scenario cruise-storm; auv-gym train --vehicle lauv
     """
 
     algo: str = "apg"
@@ -75,7 +77,7 @@ class Options:
     from_: Annotated[str | None, arg(name="from", metavar="AGENT", help_behavior_hint="")] = None
     """Initial agent, by name or folder, such as "helm". Its weights, network, inputs, expert and authority are used in
     a short training with small learning rates. "none" for a new network, whose correction is zero. Default: none; with
-    --vehicle and neither --algo nor --expert helm-any, for scenarios in space helm-3d."""
+    --vehicle but not --algo or --expert: helm-any, or helm-3d in space."""
     vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
     """Vehicle to train for, a published one by name or a .toml file. The scenarios are adapted to it. Scenarios that
     are too slow for its fins are left out. At the end the agent is compared with controllers on storms."""

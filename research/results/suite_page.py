@@ -20,7 +20,7 @@ from research.trainings.trainings import ABLATIONS
 DESCRIPTIONS = {
     "benchmark-v3": "The disturbances of the training from other seeds, and two fixed levels of position noise, of "
     "which that of an ultra-short baseline (`usbl`) is beyond the training.",
-    "hard-v1": "Storms with one thing that is hard: velocities that fail, correlated noise, dead reckoning, outages, "
+    "hard-v1": "Storms with one difficulty each: velocities that fail, correlated noise, dead reckoning, outages, "
     "sharp turns, slow actuators, faults, far starts, other vehicles, other speeds, long missions.",
     "space-v1": "Motion in space: the disturbances of the training from other seeds, and two fixed levels of position "
     "noise, of which that of an ultra-short baseline (`usbl`) is beyond the training.",

@@ -167,10 +167,10 @@ def test_headers_are_cpp_too(tmp_path, compiler):
 
 
 def test_the_documented_program_gives_the_commands_of_the_policy(tmp_path, monkeypatch):
-    """Of docs/missions.md: the vehicle, the mission, its reference, the header, and the program."""
+    """Of docs/on-a-vehicle.md: the vehicle, the mission, its reference, the header, and the program."""
     require_compiler()
     monkeypatch.chdir(tmp_path)
-    for page in ("vehicles", "missions"):
+    for page in ("vehicles", "missions", "on-a-vehicle"):
         text = (Path(__file__).parents[2] / "docs" / f"{page}.md").read_text(encoding="utf-8")
         for block, name in re.findall(r"(?ms)^```(?:toml|csv|c)\n((?:# |/\* )(\w+\.\w+).*?)^```$", text):
             Path(name).write_text(block, encoding="utf-8")
