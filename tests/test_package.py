@@ -104,7 +104,7 @@ def test_the_command(words, status, out, err, monkeypatch, capsys):
     assert printed.err.count("\n") == (1 if err else 0)
 
 
-@pytest.mark.parametrize("name", ["tune", "identify", "export", "video"])
+@pytest.mark.parametrize("name", product.COMMANDS)
 def test_the_example_in_the_help_of_a_command_is_valid(name):
     options = import_module(product.COMMANDS[name].module).Options
     program, command, *words = shlex.split(re.search(r"Example: (.*)", options.__doc__)[1])

@@ -57,7 +57,7 @@ class Options:
 
     Exit status: 0 done, 1 the training failed or could not be written, 2 wrong usage.
 
-    Examples: auv-gym train --scenario cruise-storm; auv-gym train --vehicle lauv
+    Example: auv-gym train --vehicle lauv
     """
 
     algo: str = "apg"

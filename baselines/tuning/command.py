@@ -50,7 +50,7 @@ class Options:
     initial values, and NAME of the result is FILE-FACTORY.
     Exit status: 0 done, 1 the controller failed, 2 wrong usage.
 
-    Examples: auv-gym tune los-pid --speed-range cruise; auv-gym tune hand.py:HandPoint --start start.json
+    Example: auv-gym tune hand.py:HandPoint --start start.json
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
