@@ -56,7 +56,7 @@ def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **
     if not isinstance(name, str):
         raise TypeError(f"name is {name!r}; it must be a string; run_episode and check_policy take a policy itself")
     parts, space = PolicyName.of(name), isinstance(vehicle, SpaceVehicle)
-    if parts.kind != "controller" and parts.base in shipped_agents(not space):
+    if vehicle is not None and parts.kind != "controller" and parts.base in shipped_agents(not space):
         kinds = ("the plane", "space") if space else ("space", "the plane")
         others = ", ".join(shipped_agents(space))
         raise ValueError("agent {} is for motion in {}; agents for motion in {}: {}".format(name, *kinds, others))

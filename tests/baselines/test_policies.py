@@ -12,10 +12,12 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.vehicles import PAPER
 from auv_gym.task.observation import SIZE, Observation, action_of
 from auv_gym.task.policy import preview_of
 from baselines import list_policies, make_policy
-from baselines.agents.names import PolicyName
+from baselines.agents.names import PolicyName, shipped_agents
 from baselines.evaluation import recorded
 from baselines.policy import Privileged
 
@@ -156,3 +158,13 @@ def test_an_agent_in_the_other_speed_range_warns_once():
         (message,) = messages_of(policy, True, scenario)
         assert "choose the agent for that speed range" in message
         assert messages_of(policy, True, scenario) == []
+
+
+@pytest.mark.parametrize("name", shipped_agents())
+def test_an_agent_needs_no_vehicle(name):
+    """Without one it is for the paper's, in the plane or in space."""
+    space = make_policy(name).layout.axes == 3
+    assert space == (name in shipped_agents(True))
+    kinds = ("space", "the plane")[:: 1 if space else -1]
+    with pytest.raises(ValueError, match="agent {} is for motion in {}; agents for motion in {}".format(name, *kinds)):
+        make_policy(name, PAPER_VEHICLE if space else PAPER.in_space)
