@@ -207,18 +207,18 @@ def _built(command: str, source: str, file: Path, flags: tuple[str, ...]) -> cty
 
 def _compile(command: str, source: str, made: Path, flags: tuple[str, ...]) -> None:
     words = [*shlex.split(command), *flags, "-x", "c", "-", "-o", str(made), "-lm"]
-    patience = _PATIENCE + len(source) / _SLOWEST
-    _run(words, patience, input=source.encode(), env={**os.environ, "TMPDIR": str(made.parent)})
+    _run(words, source, env={**os.environ, "TMPDIR": str(made.parent)})
 
 
-def _run(words: list[str], patience: float | None = None, **options: Any) -> bytes:
-    """Return the output of a program.
+def _run(words: list[str], source: str = "", **options: Any) -> bytes:
+    """Return the output of a program that reads a source.
 
     Raises:
         OSError: it cannot be started.
-        SubprocessError: it fails, or exceeds a time limit [s].
+        SubprocessError: it fails, or exceeds the time limit for the source.
     """
-    done = subprocess.run(words, capture_output=True, check=True, timeout=patience or _PATIENCE, **options)
+    patience = _PATIENCE + len(source) / _SLOWEST
+    done = subprocess.run(words, input=source.encode(), capture_output=True, check=True, timeout=patience, **options)
     output: bytes = done.stdout
     return output
 

@@ -142,7 +142,7 @@ def mission_scenario(
 
 
 def _check_dive(mission: Mission) -> None:
-    """Raise ValueError if a depth is above the surface, or changes at one place."""
+    """Raise ValueError if a waypoint of a dive is above the surface, or at the place of the one before."""
     for k, depth in enumerate(mission.depths):
         if depth < 0:
             raise ValueError(f"waypoint {k} has the depth {depth:.4g} m; depths are positive below the surface")

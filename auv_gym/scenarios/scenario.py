@@ -440,8 +440,7 @@ class Scenario:
         Raises:
             ValueError: an entry is unknown or wrong; the message names it and the allowed values.
         """
-        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from}
-        special["model"] = lambda model: None if model is None else model_from(model, "model")
+        special = {"path": path_from, "vehicle": as_vehicle, "effects": effects_from, "model": _model_from}
         return from_record(cls, record, "scenario", special)
 
     def save(self, file: str | FilePath) -> None:
@@ -491,6 +490,10 @@ def _space_planner(
 
 def _rounded(delay: Number) -> Any:
     return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
+
+
+def _model_from(record: Any) -> VehicleModel | None:
+    return None if record is None else model_from(record, "model")
 
 
 def effects_from(record: Any) -> tuple[Effect, ...]:

@@ -59,7 +59,8 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         SystemExit: the user asked for the help, which has been printed.
     """
     program = called(program)
-    _join_lines(options)  # type: ignore[arg-type]
+    if {"-h", "--help"} & {*arguments}:
+        _join_lines(options)  # type: ignore[arg-type]
     if strange := [word for word in arguments if word != printable(word)]:
         raise UsageError(f"{strange[0]!r} contains characters that cannot be printed; leave them out")
     errors = io.StringIO()

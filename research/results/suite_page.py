@@ -38,10 +38,8 @@ def context(page: str) -> dict[str, Any]:
     name = results.suite.name
     agents = trained(name) if (SEED_RUNS / f"{name}.npz").exists() else {}
     others = {key: runs for key, runs in agents.items() if key not in (error_only.NAME, *ABLATIONS)}
-    ablations = [
-        [ABLATIONS[row[0].strip("`")][0], *row[2:]]
-        for row in seed_rows(results, {key: agents[key] for key in ABLATIONS if key in agents})
-    ]
+    short = {change: agents[key] for key, (change, _) in ABLATIONS.items() if key in agents}
+    ablations = [[change, *row[2:]] for change, row in zip(short, seed_rows(results, short), strict=True)]
     return {
         "template": "suite",
         "what": DESCRIPTIONS[name],

@@ -163,9 +163,7 @@ def _verify(name: str, options: Options) -> int:
                 if (scenario := cell.scenario.name) in recorded and scenario in (options.cells or recorded)
             ]
             if options.stamp:  # equal fingerprints: the same kernels, data and code have made the results
-                pairs = [(recorded[cell.scenario.name], Run.planned(policy, cell)) for cell in cells]
-                stamps = [[(run.fingerprint, run.simulator) for run in pair] for pair in pairs]
-                cells = [cell for cell, (old, new) in zip(cells, stamps, strict=True) if old != new]
+                cells = [cell for cell in cells if _is_outdated(recorded[cell.scenario.name], cell)]
             runs = _run(policy, cells, options)
             if not runs:
                 continue
@@ -179,6 +177,11 @@ def _verify(name: str, options: Options) -> int:
                     recorded[scenario] = replace(recorded[scenario], fingerprint=prints[0], simulator=prints[1])
                 keep(suite, list(recorded.values()), file)
     return status
+
+
+def _is_outdated(run: Run, cell: Cell) -> bool:
+    planned = Run.planned(run.policy, cell)
+    return (run.fingerprint, run.simulator) != (planned.fingerprint, planned.simulator)
 
 
 def proof(recorded: Mapping[str, Run], runs: Sequence[Run]) -> tuple[bool, str]:
