@@ -32,9 +32,9 @@ class Options:
     A second call resumes interrupted trainings. Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
-    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]", help_behavior_hint="")] = ()
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """Names of agents. Default: all."""
-    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    timesteps: int | None = None
     """Control steps of each training, for a trial. Default: those of the shipped agents."""
     install: bool = False
     """Replace the agents in baselines/agents/shipped by the trained ones."""

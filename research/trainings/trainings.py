@@ -155,6 +155,7 @@ ABLATIONS: Mapping[str, tuple[str, SeedTraining]] = {
     "helm-short": ("nothing", _ablation()),
     "helm-without-filters": ("without the estimates of Kalman filters", _ablation(filters=False)),
     "helm-without-preview": ("without a preview of the path", _ablation(preview=[])),
+    "helm-without-memory": ("without recurrent units", _ablation(memory=False)),
     "helm-with-expert": ("as a correction of `backstepping`", _ablation(EXPERT)),
 }
 """Short trainings of `helm` with one part changed, and what is changed, by name."""
