@@ -75,7 +75,7 @@ class Options:
     Exit status: 0 done, 1 a page cannot be made, or with --check is stale, 2 wrong usage.
     """
 
-    page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]", help_behavior_hint="")] = ()
+    page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]")] = ()
     """Names of pages, such as results. Default: all."""
     check: bool = False
     """Write nothing; print which pages are stale."""

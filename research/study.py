@@ -49,7 +49,7 @@ class Options:
     Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
-    word: Annotated[Positional[tuple[str, ...]], arg(metavar="[WORD ...]", help_behavior_hint="")] = ()
+    word: Annotated[Positional[tuple[str, ...]], arg(metavar="[WORD ...]")] = ()
     """Words of rows, such as a policy and a vehicle: only rows that have all of them. Default: all rows."""
     quick: bool = False
     """Try the study with so few episodes that the numbers mean nothing; the file is runs/quick/NAME.json."""

@@ -47,11 +47,11 @@ class Options:
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file results.npz of an evaluation."""
-    policy: Annotated[Positional[str], arg(metavar="[POLICY]", help_behavior_hint="")] = ""
+    policy: Annotated[Positional[str], arg(metavar="[POLICY]")] = ""
     """The policy, as for evaluate --policy; it may have another path now. Without a policy, no episode runs."""
     share: float = 0.05
     """Share of the episodes of each case that is run again, in (0, 1]."""
-    seed: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    seed: int | None = None
     """Seed of the choice of episodes. Default: a random one, which is printed."""
     step_limit: float = STEP_LIMIT
     """Largest mean time of a policy for one action, in seconds; a slower policy fails."""

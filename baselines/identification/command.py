@@ -50,11 +50,11 @@ class Options:
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [LOG ...]", help_behavior_hint="(required)")]
     """The logs, of one vehicle."""
-    holdout: Annotated[tuple[Path, ...], arg(metavar="LOG [LOG ...]", help_behavior_hint="")] = ()
+    holdout: Annotated[tuple[Path, ...], arg(metavar="LOG [LOG ...]")] = ()
     """Held-out logs, which are predicted by the fitted vehicle; the report compares predictions and measurements."""
-    format: Annotated[str | None, arg(metavar="FORMAT", help_behavior_hint="")] = None
+    format: Annotated[str | None, arg(metavar="FORMAT")] = None
     """Columns, units and axes of the logs: the name of an included format, or a TOML file."""
-    known: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [NAME=VALUE ...]", help_behavior_hint="")] = ()
+    known: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [NAME=VALUE ...]")] = ()
     """Values of known parameters, which are not fitted."""
     still_water: bool = False
     """There is no current."""
@@ -62,16 +62,16 @@ class Options:
     """Write an example to LOG instead: a simulated trial of one minute with noise and current."""
     seed: int = 0
     """Seed of the noise of the example."""
-    terms: Annotated[tuple[str, ...], arg(metavar="T [T ...]", help_behavior_hint="")] = ()
+    terms: Annotated[tuple[str, ...], arg(metavar="T [T ...]")] = ()
     """Terms beyond masses and linear drag that may differ from 0; those that do not differ significantly are dropped.
     Default: all; in logs of forces, cross-flow only if the model does not explain the log without it."""
     through_water: bool = False
     """The speeds u, v are measured through the water, not over ground."""
-    like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
+    like: Annotated[str | None, arg(metavar="VEHICLE")] = None
     """Name or file of a vehicle that supplies the parameters that are not identified."""
     ensemble: int = 0
     """Number of vehicles that are drawn from the distribution of the fit; one of them is the true vehicle of each
-    episode of scenario.toml. Default: the fitted vehicle alone."""
+    episode of scenario.toml. 0 for the fitted vehicle alone."""
     out: Path = Path("runs/identify")
     """Folder for the results."""
 

@@ -79,11 +79,15 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
 
 @cache
 def _join_lines(options: Any) -> None:
-    """Join the lines of the docstrings of fields, whose breaks the help would show."""
-    hints = get_type_hints(options, include_extras=True)
-    for field in docstring_parser.parse_from_object(options).params:
-        text = " ".join((field.description or "").split())
-        options.__annotations__[field.arg_name] = Annotated[hints[field.arg_name], tyro.conf.arg(help=text)]
+    """Join the lines of the docstrings of fields, whose breaks the help would show, and leave out empty defaults."""
+    hints, defaults = get_type_hints(options, include_extras=True), {f.name: f.default for f in fields(options)}
+    for name, description in ((p.arg_name, p.description) for p in docstring_parser.parse_from_object(options).params):
+        given: dict[str, Any] = {"help": " ".join((description or "").split())}
+        if defaults[name] is False or defaults[name] in (None, "", ()):
+            given["help_behavior_hint"] = ""
+        if hints[name] in (int | None, float | None):
+            given["metavar"] = "INT" if hints[name] == int | None else "FLOAT"
+        options.__annotations__[name] = Annotated[hints[name], tyro.conf.arg(**given)]
 
 
 def printable(text: str) -> str:

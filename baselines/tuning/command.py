@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle, as_vehicle_model
 from auv_gym.task.policy import Policy
 from baselines.agents.names import PolicyName
 from baselines.evaluation.runner import failure
@@ -61,7 +61,7 @@ class Options:
     """Number of evaluations of the search; 0 only measures the initial gains."""
     episodes: int = TUNING_EPISODES
     """Episodes of each evaluation, a multiple of 32, so that each case has the same number."""
-    start: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    start: Annotated[Path | None, arg(metavar="FILE")] = None
     """A JSON file of gains by name, at which the search starts; they may stand in its entry "gains"."""
     vehicle: str = PAPER.name
     """A published vehicle by name, or a .toml file."""
@@ -139,9 +139,10 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
     Raises:
         UsageError: the vehicle is unknown, or the file cannot be read.
     """
-    vehicle_model = PAPER if vehicle == PAPER.name else checked(partial(as_vehicle_model, vehicle))
+    checked(partial(as_vehicle, vehicle))  # an error if it is unknown
+    vehicle_model = PAPER if vehicle == PAPER.name else as_vehicle_model(vehicle)
     if vehicle_model is None:
-        raise UsageError(f"unknown vehicle {vehicle!r}; allowed are {', '.join(list_vehicles())}, or a .toml file")
+        raise UsageError(f"the limits and the lag of {vehicle} are not known; take {PAPER.name}, or a .toml file")
     return vehicle_model
 
 

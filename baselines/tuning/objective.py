@@ -120,6 +120,7 @@ def tuning_scenarios(
     every = (*cases, *(adverse(speed_range),) * len(cases)) if world == "adverse" else cases
     if vehicle_model == PAPER and sea == Sea():
         return every
+    changed(cases[0], vehicle_model)  # its errors are in SI units
     own, sea = vehicle_model.in_paper_units, sea.in_paper_units(vehicle_model.vehicle)
     adapted = [replace(sea.of(changed(s, own)), name=s.name) for s in every]
     return tuple(replace(s, substeps=max(other.substeps for other in adapted)) for s in adapted)

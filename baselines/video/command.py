@@ -40,7 +40,7 @@ class Options:
     """One to five policies, by name, file or folder, from left to right."""
     scenario: str = "cruise-storm"
     """A preset's name, or a .toml or .json file."""
-    effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]", help_behavior_hint="")] = ()
+    effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]")] = ()
     """Python files with effects of your own, which scenario files name: docs/make-your-own.md. They are executed."""
     seed: int = 0
     """Seed of the episode."""
@@ -50,7 +50,7 @@ class Options:
     """Width and height in pixels."""
     speed: float = SPEED
     """Playback speed: 4 is four times as fast as real time."""
-    seconds: Annotated[float | None, arg(metavar="FLOAT", help_behavior_hint="")] = None
+    seconds: float | None = None
     """Length of the video. Default: the whole episode."""
     fps: int = FPS
     """Frames per second."""

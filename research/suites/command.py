@@ -50,13 +50,13 @@ class Options:
     digests. seal: draw the secret of a suite, keep its hash and print the secret once. open: check a secret against the
     hash, publish it and build the suite, after all policies are frozen. record: run policies and keep their results.
     verify: run recorded policies again and compare every number with the recorded one, to the last recorded place."""
-    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]", help_behavior_hint="")] = ()
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """Names of suites. Default of check and verify: all."""
-    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]")] = ()
     """Policies to record or verify. Default: all named policies, or all recorded ones."""
-    cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
+    cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]")] = ()
     """Verify only the cells of these scenarios. Cells run whole, since parts of a cell differ in the last bits."""
-    secret: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="")] = None
+    secret: Annotated[str | None, arg(metavar="WORDS")] = None
     """The secret, to open a suite."""
     stamp: bool = False
     """Renew the fingerprints of runs whose results are equal, so that they are valid again."""

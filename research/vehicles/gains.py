@@ -273,9 +273,7 @@ def tuned_gains() -> str:
     for name, speed_range in itertools.product(TUNABLES, SPEED_RANGES):
         record = recorded_gains()["tuned"][name][speed_range]
         v = record["validation"]
-        errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['failed']:.1f} %"
-        ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
+        errors = f"{1e3 * v['error_m']:.3g}", f"{100 * v['failed']:.1f} %"
         gained = f"{100 * (1 - v['cost_m'] / v['start_cost_m']):.1f} %"
-        rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, *ratios, gained))
-    heads = "controller", "speed range", "gains", "error [mm]", "error reduction", "failures", "effort", "command rate"
-    return table((*heads, "last search"), rows)
+        rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, gained))
+    return table(("controller", "speed range", "gains", "error [mm]", "failures", "last search"), rows)
