@@ -49,7 +49,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"git clone .*": "needs the network",
-    r"pip install .*": "`make`'s stamps, and the extras exist, below",
+    r"(uv )?pip install .*": "`make`'s stamps, and the extras exist, below",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"(dask|auv-gym) .*(scheduler.json).*": "test_cluster.py",
     r"auv-gym evaluate --policy runs/train/storm .*": "test_user_policies.py::test_all_seeds_of_a_training_...",

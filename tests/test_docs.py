@@ -186,7 +186,7 @@ def test_the_readme_is_short():
 
 def test_training_times_of_the_shipped_agents():
     """The page has minutes, the descriptions have seconds."""
-    page = (ROOT / "docs" / "training.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "policies.md").read_text(encoding="utf-8")
     for name in ("helm", "helm-any"):
         [minutes] = re.findall(rf"research train-all {name}` trains it in (\d+)\s", page)
         assert int(minutes) == round(Agent.load(agent_folder(name)).training["seconds"] / 60)

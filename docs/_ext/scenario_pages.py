@@ -23,7 +23,8 @@ from research.pages import table
 
 SHOWN = ("steady [m]", "p95 [m]", "score", "failures", "settled [s]", "effort")
 """The columns of the table of results."""
-SUITE = "benchmark-v3"
+SUITES = "benchmark-v3", "space-v1"
+"""The suites with results of presets."""
 PAGE = """# {name}
 
 {case}
@@ -52,9 +53,9 @@ columns. A score means little where the expert is already accurate, as in still 
 """
 
 
-def page(scenario: Scenario, case: str, entries: list[Entry]) -> str:
-    """Return the page of a preset."""
-    standings = STANDINGS.format(suite=SUITE, table=standing(entries)) if entries else ""
+def page(scenario: Scenario, case: str, entries: dict[str, list[Entry]]) -> str:
+    """Return the page of a preset, for its entries by suite."""
+    standings = "".join(STANDINGS.format(suite=suite, table=standing(own)) for suite, own in entries.items() if own)
     kind = "3D" if scenario.vertical else ""
     return PAGE.format(name=scenario.name, kind=kind, case=case, standings=standings, parameters=parameters(scenario))
 
@@ -100,9 +101,9 @@ def write(app: Sphinx) -> None:
         r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     cases, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
-    entries = [result.entry for result in compare(recorded_runs(load_suite(SUITE)).runs)]
+    results = {suite: compare(recorded_runs(load_suite(suite)).runs) for suite in SUITES}
     for name, scenario in (PRESETS | SPACE_PRESETS).items():
-        own = [entry for entry in entries if entry.place == name]
+        own = {suite: [r.entry for r in found if r.entry.place == name] for suite, found in results.items()}
         case = cases.get(name) or cases[name.removeprefix(f"{speed_range_of(name)}-")]
         texts[f"{name}.md"] = page(scenario, case, own)
     replace_folder(source / "scenarios", texts)

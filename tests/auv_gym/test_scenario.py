@@ -29,7 +29,9 @@ def test_the_page_has_the_levels_of_the_noise_and_the_typical_one_is_within():
         assert all(
             low < getattr(TYPICAL_NOISE[r], name) < high for r, (low, high) in zip(SPEED_RANGES, ranges, strict=True)
         )
-    assert "of {slow.position} m (slow) and {cruise.position} m (cruise)".format(**TYPICAL_NOISE) in page
+    assert "of {slow.position} m (slow) and {cruise.position} m (cruise)".format(**TYPICAL_NOISE) in " ".join(
+        page.split()
+    )
 
 
 def test_draws_are_reproducible_and_differ():
@@ -59,7 +61,7 @@ def test_random_signs_have_all_eight_combinations():
         ({"path": {"family": "spiral"}}, r"unknown path family 'spiral'; allowed are line, circle"),
         ({"path": {"family": "circle", "speed": 1.0}}, r"path circle lacks the entry 'turn_rate'"),
         ({"path": 3}, r"scenario path is 3"),
-        ({"vehicle": "submarine"}, r"unknown vehicle .submarine.; allowed are .*, a .toml file, or one of paper"),
+        ({"vehicle": "submarine"}, r"unknown vehicle .submarine.; allowed are a .toml file, or one of paper"),
         ({"vehicle": {**vars(PAPER_VEHICLE), "m11": -1.0}}, r"vehicle parameter m11 is -1.0"),
         ({"vehicle": {**vars(PAPER_VEHICLE), "m22": 200.0}}, r"m22 = 200.0 kg is not above m11"),
         ({"current": {"speed": [0.4, 0.1]}}, r"current speed is \(0.4, 0.1\); low must not be above high"),

@@ -16,9 +16,7 @@ from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL
 
 NONE = "-"
 """Text for a missing value."""
-_CAPS = (
-    " or ".join(f"{cap:g} m ({speed_range})" for speed_range, cap in ERROR_CAPS.items()) + ", of the paper's vehicle"
-)
+_CAPS = ", ".join(f"{cap:g} m ({speed_range})" for speed_range, cap in ERROR_CAPS.items())
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,7 @@ COLUMNS = (
            lambda _, s: s.rmse_m),
     Column("steady_rmse_m.mean", "steady [m]",
            "steady-state error: root mean square of the distance to the reference after the first third of an episode, "
-           "mean over episodes; a failed episode keeps its last error for the remaining steps; over several vehicles "
-           "in metres of the paper's vehicle",
+           "mean over episodes",
            lambda _, s: s.steady_rmse_m.mean, digits(3), 9),
     Column("steady_rmse_m.ci95", "95 % interval", "95 % bootstrap interval of that mean over episodes",
            lambda _, s: list(s.steady_rmse_m.ci95), ends, 6),
@@ -100,33 +97,32 @@ COLUMNS = (
            f"mean of the worst {100 * WORST:g} % of the steady-state errors (conditional value at risk)",
            lambda _, s: s.steady_rmse_m.cvar95, digits(3), 3),
     Column("to_best_m.mean", "to best [m]",
-           "mean steady-state error minus that of the best policy in the same episodes, with its 95 % bootstrap "
-           f"interval; the best one is that with the smallest mean, without {ORACLE} and {OPTIMUM_POLICY}",
+           "mean steady-state error minus the smallest one of a policy in the same episodes, without "
+           f"{ORACLE} and {OPTIMUM_POLICY}; with its 95 % bootstrap interval",
            lambda e, _: e.to_best and e.to_best.mean, digits(3), 4, lambda e, _: difference_text(e.to_best)),
     Column("to_best_m.ci95", "", "95 % bootstrap interval of that difference over paired episodes",
            lambda e, _: e.to_best and list(e.to_best.ci95)),
     Column("score.mean", "score",
-           "(E_0 - E_policy) / (E_0 - E_1), E the mean steady-state error in the same episodes: 0 is the paper's "
-           f"law, 1 the full-information optimum, {OPTIMUM_POLICY}; errors are averaged over cases before the division",
+           f"(E_0 - E_policy) / (E_0 - E_1): 0 is the paper's law, 1 the full-information optimum, {OPTIMUM_POLICY}",
            lambda e, _: e.score and e.score.mean, fixed, 7),
     Column("score.ci95", "95 % of score", "95 % bootstrap interval of the score over paired episodes",
            lambda e, _: e.score and list(e.score.ci95), fixed_ends, 5),
-    Column("capped.mean", "capped", f"the score with no steady-state error counted above {_CAPS}",
+    Column("capped.mean", "capped", f"the score with errors counted up to the error cap: {_CAPS}",
            lambda e, _: e.capped and e.capped.mean, fixed, 2),
     Column("capped.ci95", "", "95 % interval of the capped score", lambda e, _: e.capped and list(e.capped.ci95)),
     Column("error_ratio", f"error / {RIVAL}",
-           f"mean steady-state error, counted as for the capped score, over that of {RIVAL} in the same episodes",
+           f"mean steady-state error, up to the error cap, over that of {RIVAL} in the same episodes",
            lambda e, _: e.error_ratio, ratio_text, 1),
     Column("failed", "failures",
-           "failed episodes: they ended beyond the lost_distance of the scenario, or the steady-state error reaches "
-           f"{_CAPS}; in parentheses the 95 % upper confidence bound of the failure rate",
+           "failed episodes: they ended beyond the lost_distance of the scenario, or their error reaches the error "
+           f"cap, {_CAPS}; in parentheses the 95 % upper confidence bound of the failure rate",
            lambda e, _: e.failed, keep=8, show=lambda e, s: failures_text(e.failed, s.episodes)),
     Column("failure_rate", "", "failure rate", lambda e, s: e.failed / s.episodes),
     Column("failure_rate_bound", "", "95 % upper confidence bound of the failure rate (one-sided, Clopper and Pearson)",
            lambda e, s: failure_bound(e.failed, s.episodes)),
     Column("failed_within", "within limits",
-           "failed episodes among those whose plan stays within the limits of the actuators in the mean current of the "
-           "episode; empty where all plans do, and for frozen suites",
+           "failed episodes among those whose plan stays within the limits of the actuators in the mean current; "
+           "empty where all plans do, and for frozen suites",
            lambda e, _: e.within and e.within[0], keep=7,
            show=lambda e, _: NONE if e.within is None else "{} of {}".format(*e.within)),
     Column("episodes_within", "", "number of these episodes", lambda e, _: e.within and e.within[1]),
