@@ -194,9 +194,11 @@ class Batched(ABC):
         speed, (low, high) = np.sqrt(sum((rows[:, k] * scales[k]) ** 2 for k in columns)), self.speeds
         if ((speed < low) | (speed > high)).any():
             self.speeds = ALL_SPEEDS
+            trained = f"of {low:.3g} to {high:.3g} m/s" if high < math.inf else f"from {low:.3g} m/s on"
+            begins = " to ".join(dict.fromkeys(f"{x:.2g}" for x in (speed.min(), speed.max())))
             warnings.warn(
-                f"this policy was trained at reference speeds of {low:.3g} to {high:.3g} m/s, and the episode begins "
-                f"at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent for that speed range",
+                f"this policy was trained at reference speeds {trained}, and the episode begins at {begins} m/s: "
+                "choose the agent for that speed range",
                 stacklevel=3,
             )
 

@@ -80,11 +80,11 @@ def check_number(name: str, value: object, low: float = -math.inf, high: float =
 def check_interval(name: str, value: object, low: float = -math.inf, high: float = math.inf) -> None:
     """Raise ValueError unless value is a finite number in [low, high] or an ordered pair of them."""
     ends = value if isinstance(value, tuple) else (value,)
-    if isinstance(value, tuple) and len(ends) != 2:
-        raise ValueError(f"{name} is {value!r}; it must be a number or a pair (low, high)")
-    for end in ends:
-        check_number(name, end, low, high)
-        if math.isinf(end):
-            raise ValueError(f"{name} is {value!r}; it must be finite")
+    are_numbers = all(is_float(end) and low <= end <= high and not math.isinf(end) for end in ends)
+    if not are_numbers or len(ends) != (2 if isinstance(value, tuple) else 1):
+        allowed = f"{'[' if low > -math.inf else '('}{low:g}, {high:g}{']' if high < math.inf else ')'}"
+        raise ValueError(
+            f"{name} is {value!r}; it must be a number in {allowed}, or a pair (low, high) of such numbers"
+        )
     if ends[0] > ends[-1]:
         raise ValueError(f"{name} is {value!r}; low must not be above high")

@@ -72,7 +72,9 @@ class RandomPath:
             raise ValueError(f"path families is {self.families!r}; it must be a list, such as [{self.families!r}]")
         for name in self.families:
             if name not in allowed:
-                raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
+                raise ValueError(
+                    f"unknown path family {name!r}{meant(name, allowed)}; allowed are {', '.join(allowed)}"
+                )
         if not self.families:
             raise ValueError(f"path families is empty; name at least one of {', '.join(allowed)}")
 

@@ -165,7 +165,8 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
     """Return scenarios with episodes that are drawn from the seed, their hash, and no recorded runs."""
     if suite is not None and suite not in DRAWN_SUITES:
         known = *DRAWN_SUITES, *list_suites()
-        raise UsageError(f"unknown suite {suite!r}{meant(suite, known)}; allowed are {', '.join(known)}")
+        more = "" if "research" in sys.modules else "; in a clone python evaluate.py has more, see docs/suites.md"
+        raise UsageError(f"unknown suite {suite!r}{meant(suite, known)}; allowed are {', '.join(known)}{more}")
     scenarios: dict[str, Scenario] = {}
     if options.mission is not None:
         cell = checked(partial(_mission, options))
@@ -177,9 +178,17 @@ def _drawn(suite: str | None, options: Options) -> tuple[tuple[Cell, ...], str, 
                 "in that of its vehicle"
             )
     count = DEFAULT_EPISODES if options.episodes is None else options.episodes
-    cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios.values())
+    cells = tuple(checked(partial(_cell, scenario, count, options.seed)) for scenario in scenarios.values())
     digest = hashlib.sha256(" ".join(cell.hash for cell in cells).encode()).hexdigest()
     return cells, digest, RecordedRuns((), ())
+
+
+def _cell(scenario: Scenario, count: int, seed: int) -> Cell:
+    """Return drawn episodes of a scenario; raise ValueError with its name if none can be planned."""
+    try:
+        return drawn(scenario, count, seed)
+    except InfeasibleReferenceError as error:
+        raise ValueError(f"scenario {scenario.name}: {error}") from error
 
 
 def _mission(options: Options) -> Cell:

@@ -21,7 +21,7 @@ from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS
-from auv_gym.scenarios.records import to_record
+from auv_gym.scenarios.records import meant, to_record
 from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle, vehicle_model_of
 from auv_gym.task.model import Model
 from auv_gym.task.policy import Law, traceable
@@ -155,7 +155,10 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
         ValueError: there is no such agent or vehicle, or the agent cannot be exported because its expert has a memory.
     """
     if (folder := agent_folder(name)) is None:
-        raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
+        names = shipped_agents()
+        raise ValueError(
+            f"{name!r} is no agent{meant(name, names)}; there are {', '.join(names)}, or an agent's folder"
+        )
     agent = Agent.load(folder)
     presets = SPACE_PRESETS if (in_space := agent.inputs.model.name == "space") else PRESETS
     plane = as_vehicle(vehicle)

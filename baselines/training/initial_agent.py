@@ -94,18 +94,18 @@ def loaded(origin: Origin) -> Agent:
     return Agent.load(folder)
 
 
-def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tuple[str, ...]]:
+def fitted(mixture: Mixture, vehicle: VehicleModel | str) -> tuple[Mixture, tuple[str, ...]]:
     """Return the scenarios of a mixture adapted to a vehicle, and the reasons for those that are left out.
 
     Raises:
-        ValueError: a scenario is not of the paper's vehicle, or no scenario can be adapted.
+        ValueError: the vehicle is unknown, a scenario is not of the paper's vehicle, or no scenario can be adapted.
     """
     scenarios: list[tuple[Scenario, float]] = []
     reasons: list[str] = []
     for scenario, weight in mixture:
         check_adaptable(scenario)
         try:
-            adapted = changed(scenario, vehicle_model)
+            adapted = changed(scenario, vehicle)
             drawn(adapted, _TRIED, 0)  # raises if it cannot follow its paths, such as turns too sharp for fins
             scenarios.append((adapted, weight))
         except ValueError as error:

@@ -212,8 +212,8 @@ def as_vehicle(vehicle: VehicleLike) -> Vehicle:
         return vehicle_model.vehicle
     if isinstance(vehicle, Mapping):
         return from_record(Vehicle, vehicle, "vehicle")
-    names = list_vehicles()
+    names, objects = list_vehicles(), "" if isinstance(vehicle, str) else "a Vehicle, a dict, "
     raise ValueError(
-        f"unknown vehicle {vehicle!r}{meant(vehicle, names)}; allowed are a Vehicle, a dict, a .toml file, or one of "
+        f"unknown vehicle {vehicle!r}{meant(vehicle, names)}; allowed are {objects}a .toml file, or one of "
         + ", ".join(names)
     )
