@@ -45,6 +45,7 @@ POINTS: Mapping[str, str] = {
 _WITHOUT_MEMORY = frozenset(("share", "thrust", "vehicle", "current"))
 _UNITS = ", ".join(POWERS)
 _PLANE = ("x", "y", "psi", "u", "v", "r")  # states in the plane
+_BITS = 2**64 - 1  # the integers of `uniform_of` have 64 bits
 
 
 class Nothing(NamedTuple):
@@ -328,15 +329,14 @@ def uniform_of(name: str, seeds: Any) -> Uniform:
     It is the generator SplitMix64 (G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom number
     generators", OOPSLA 2014), and depends on seed and name only: an effect changes no other number of an episode.
     """
-    state = np.atleast_1d(np.asarray(seeds, dtype=np.uint64)) ^ np.uint64(_number_of(name) << 32)
+    state = (np.asarray(seeds, dtype=np.uint64) if np.ndim(seeds) else int(seeds)) ^ (_number_of(name) << 32)
 
     def uniform() -> Number:
         nonlocal state
-        state = state + np.uint64(0x9E3779B97F4A7C15)
-        z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        numbers = ((z ^ (z >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
-        return numbers if np.ndim(seeds) else float(numbers[0])
+        state = (state + 0x9E3779B97F4A7C15) & _BITS
+        z = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & _BITS
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _BITS
+        return ((z ^ (z >> 31)) >> 11) * 2.0**-53
 
     return uniform
 

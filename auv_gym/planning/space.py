@@ -36,10 +36,11 @@ from auv_gym.planning.planner import MAX_SAMPLES, RUN_IN, checked_derivatives, c
 from auv_gym.planning.sideslip import MAX_SIDESLIP
 
 T = TypeVar("T")
-_MAX_STEP = 0.05  # largest integration step, in time constants of the fastest transient
+_MAX_STEP = 0.1  # largest integration step, in time constants of the fastest transient
+_CHOSEN = 64  # instants of the plan, at least, at which the time constants are computed
 _SLOWEST = 10.0  # `Vehicle.time` that count as at most one time constant in the run-in
 _FASTEST = 20.0  # largest rate of a transient per `Vehicle.time` that the step follows; faster ones are not feasible
-_STAGE_ITERATIONS = 3  # of Newton's method in a stage, which starts at the turn rates of the stage before it
+_STAGE_ITERATIONS = 2  # of Newton's method in a stage, which starts at the turn rates of the stage before it
 _LAST_ITERATIONS = 6  # of Newton's method at the times of the plan
 _ITERATIONS = 20  # of Newton's method for the steady angles
 _TOLERANCE = 1e-9  # largest residual of the balance [m/s^2], as a share of the accelerations of the vehicle
@@ -164,7 +165,8 @@ class SpacePlanner:
         Raises:
             ValueError: the plan needs too many samples, or `path.derivatives` returns an array of another shape.
         """
-        fast, slow = _rates(steady_axis(checked_derivatives(path, self.times, 3), self._row)[1])
+        chosen = self.times[:: max(1, len(self.times) // _CHOSEN)]
+        fast, slow = _rates(steady_axis(checked_derivatives(path, chosen, 3), self._row)[1])
         time, instants = self.vehicle.horizontal.time, len(self.times)
         substeps = _power(self._period * min(fast, _FASTEST / time) / _MAX_STEP)
         run_in = _power(RUN_IN * min(1 / slow, _SLOWEST * time) / self._period)

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.records import meant
 from auv_gym.scenarios.vehicles import VehicleLike
 from auv_gym.task.policy import Policy
 from baselines.control.backstepping import Backstepping
@@ -109,8 +108,7 @@ def make_controller(name: str, vehicle: VehicleLike | None = None, **options: An
         ValueError: the name is unknown, or the factory does not take such options.
     """
     if name not in POLICIES:
-        names = [key for key, one in POLICIES.items() if not one.privileged]
-        raise ValueError(f"unknown policy {name!r}{meant(name, names)}; allowed are {', '.join(names)}")
+        raise ValueError(f"unknown policy {name!r}; allowed are {', '.join(POLICIES)}")
     make, _, defaults, *_ = POLICIES[name]
     try:
         return make(**{**defaults, **vehicle_option(make, vehicle), **options})

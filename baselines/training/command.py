@@ -23,10 +23,11 @@ from auv_gym.scenarios.records import meant, read_table, table_file
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, as_vehicle_model
 from baselines.agents.names import AGENT_FOLDER
+from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.request import checked_scenario, import_effects
 from baselines.evaluation.score import EXPERT, SETPOINT_EXPERT, expert_of
-from baselines.tools.command_line import UsageError, checked, checked_folder, parse, typed
+from baselines.tools.command_line import UsageError, check_words, checked, checked_folder, parse, typed
 from baselines.tools.workers import Workers
 from baselines.training.comparison import RESULT, Comparison
 from baselines.training.config import ALGORITHMS, Config
@@ -187,6 +188,9 @@ def configurations(options: Options) -> tuple[Config, ...]:
         values = {**initial.config.hyperparameters, **values}
         expert, authority = initial.agent.expert, initial.agent.authority
     else:
+        if options.expert not in (None, *POLICIES):
+            experts = (name for name, one in POLICIES.items() if not one.privileged)
+            check_words("expert", [options.expert], (NO_EXPERT, *experts))
         expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle and usual == EXPERT else usual)
     first = Config(
         options.algo,
@@ -283,7 +287,7 @@ def _scenarios(options: Options, initial: InitialAgent | None) -> tuple[Mixture,
         if options.vehicle != PAPER.name:
             mixture, reasons = fitted(mixture, options.vehicle)
             if reasons:
-                print(f"note: scenarios that are left out: {len(reasons)}; the first one: {reasons[0]}", file=sys.stderr)
+                print(f"note: scenarios left out: {len(reasons)}; the first: {reasons[0]}", file=sys.stderr)
         mixture = tuple((options.sea.of(scenario), weight) for scenario, weight in mixture)
     return in_own_units(mixture)
 

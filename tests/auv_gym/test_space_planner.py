@@ -209,7 +209,7 @@ def test_a_climb_at_the_trim_bound_of_the_fins_is_planned():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plan(Line(1.0), VEHICLES["paper"], TIMES), r"returns an array of shape \(4, 2, 1201\)"),
+        (lambda: plan(Line(1.0), VEHICLES["paper"], TIMES), r"returns an array of shape \(4, 2, "),
         (lambda: plan(Trefoil(1.0, 1.0, 0.1), VEHICLES["paper"], TIMES[::-1]), "times must increase"),
         (lambda: plan(Trefoil(1.0, 1.0, 0.1), VEHICLES["paper"], 1e5 * TIMES), "the plan needs"),
         (lambda: Steps(((1.0, math.nan),), 2.0), "a step must be a time"),

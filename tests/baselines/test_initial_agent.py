@@ -14,6 +14,7 @@ import tomli_w
 import torch
 
 from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_2007
 from auv_gym.scenarios.fitting import Sea, changed
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS, SPACE_PRESETS
@@ -360,6 +361,12 @@ def test_scenarios_too_slow_for_the_fins_are_left_out():
     assert len({scenario.substeps for scenario, _ in own}) == 1
     assert [weight for _, weight in own] == [weight for _, weight in mixture]
     assert in_own_units(MIXTURES["cruise"]) == (MIXTURES["cruise"], None)  # those of the paper's vehicle
+
+
+def test_a_vehicle_without_known_actuators_is_trained_for_as_well():
+    mixture, reasons = fitted(MIXTURES["cruise"], "paper-2007")
+    assert {scenario.vehicle for scenario, _ in mixture} == {PAPER_2007}
+    assert len(mixture) + len(reasons) == len(MIXTURES["cruise"])
 
 
 def test_rates_rise_and_fall():

@@ -149,7 +149,7 @@ def test_folder_of_a_run_is_not_overwritten(call, capsys):
         (("--scenario", "none.toml"), "cannot read none.toml: No such file"),
         (("--scenario", "cruise:much"), "'cruise:much' has weight 'much'; it must be a positive number"),
         (("--scenario", "cruise", "cruise-calm"), "scenario 'cruise-calm' is given twice"),
-        (("--expert", "pid"), "unknown policy 'pid'; allowed are backstepping"),
+        (("--expert", "pid"), "unknown expert 'pid'; allowed are none, backstepping"),
         (("--expert", "oracle"), "expert 'oracle' needs full information"),
         (("--authority", "3"), "authority is (3.0, 3.0); it must be a number in (0, 2]"),
         (("--seed", str(LARGEST_SEED), "--seeds", "2"), "seed is 10001; it must be an integer in [0, 10000]"),

@@ -253,6 +253,11 @@ def brief(episodes, policy, run=TuningEpisodes.run):
         (["lqi", "--episodes", "1600000"], "need seeds up to .* seeds of tuning episodes must be below 20000000"),
         (["lqi", "--error-only", "--ship"], "--ship is for controllers of the package, .* and the whole objective"),
         (["lqi", "--vehicle", "ferry"], "unknown vehicle 'ferry'; allowed are "),
+        (["lqi", "--vehicle", "paper-2007"], "the limits and the lag of paper-2007 are not known; take paper"),
+        (
+            ["lqi", "--vehicle", "lauv", "--speed-range", "slow"],
+            "has speeds from 0.056 m/s, but the fins of",
+        ),
     ],
 )
 def test_wrong_usage_is_answered_in_one_line(arguments, reason):
