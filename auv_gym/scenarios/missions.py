@@ -179,6 +179,12 @@ def _of_table(name: str, text: str) -> Mission:
     heading, *rows = ([cell.strip() for cell in (lines[k].split() if blanks else one)] for k, one in zip(
         data, csv.reader([lines[k].lstrip("# ") for k in data], delimiter=separator), strict=True
     ))  # fmt: skip
+    for k, row in zip(data[1:], rows, strict=True):
+        if any(row[len(heading) :]):
+            raise ValueError(
+                f"line {k + 1} has {len(row)} cells, the heading {len(heading)}; with decimal commas, separate columns "
+                "by semicolons"
+            )
     found = {key: place for key in _NAMES if (place := _place(heading, key)) is not None}
     pair = ("lat", "lon") if {"lat", "lon"} <= set(found) else ("x", "y")
     if not set(pair) <= set(found):

@@ -145,6 +145,6 @@ def checked_authority(authority: float | Sequence[float], channels: int = 2) -> 
     given = authority.tolist() if isinstance(authority, (np.ndarray, np.generic)) else authority
     each = tuple(given) if isinstance(given, Sequence) else (given,) * channels
     if len(each) != channels or not all(is_float(a) and 0 < a <= 2 for a in each):
-        several = "surge and yaw" if channels == 2 else f"{channels} channels"
+        several = "surge and yaw" if channels == 2 else "surge, pitch and yaw"
         raise ValueError(f"authority is {authority!r}; it must be a number in (0, 2], or one each for {several}")
     return tuple(map(float, each))

@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 @dataclass(frozen=True)
 class Options:
-    """Run policies in the same episodes, print a table, and write report.html, results.json and results.csv.
+    """Run policies in the same episodes, print a table, and write report.html and results.json, .csv and .npz.
 
     The expert, backstepping, always runs too: effort and command rate are relative to it. Exit status: 0 done, 1 a
     policy failed or the results could not be written, 2 wrong usage.
@@ -30,7 +30,8 @@ class Options:
     evaluate.py in a clone also "hard-v1", "sealed-v3", "space-v1" and "vehicles-v3". The tables also show the recorded
     results of other policies. Or "presets": all presets, with episodes drawn from the seed."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]")] = ()
-    """Scenarios instead of a suite: names of presets, or .toml and .json files."""
+    """Scenarios instead of a suite: names of presets, also as PRESET@VEHICLE and PRESET-setpoints, or .toml and .json
+    files."""
     mission: Annotated[Path | None, arg(metavar="FILE")] = None
     """A mission instead of a suite: waypoints in a .csv, .geojson, .plan or .waypoints file, see docs/missions.md."""
     vehicle: Annotated[str | None, arg(metavar="V")] = None

@@ -188,7 +188,7 @@ def _cell(scenario: Scenario, count: int, seed: int) -> Cell:
     try:
         return drawn(scenario, count, seed)
     except InfeasibleReferenceError as error:
-        raise ValueError(f"scenario {scenario.name}: {error}") from error
+        raise ValueError(f"scenario {scenario.name}: {error}; a smaller speed or turn rate may help") from error
 
 
 def _mission(options: Options) -> Cell:
@@ -230,7 +230,8 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
         return checked(partial(as_scenario, name))
     if table_file(name.partition("@")[0]) is None:
         known = *others, *list_scenarios()
-        hint = "" if name.removesuffix(SETPOINTS) in MIXTURES else meant(name, (*others, *preset_names()))
+        is_mixture = name.removesuffix(SETPOINTS) in MIXTURES
+        hint = " (a mixture for auv-gym train)" if is_mixture else meant(name, (*others, *preset_names()))
         raise UsageError(
             f"unknown scenario {name!r}{hint}; allowed are a .toml or .json file, or one of {', '.join(known)}; "
             f"a preset may end in {SETPOINTS}, and @ and a vehicle may follow"

@@ -197,6 +197,8 @@ class Log:
             expected = ", ".join(f"{name} [{QUANTITIES[name]}]" for name in needed)
             hint = "" if form else "; describe other names, units and separators in a format: --format FILE.toml"
             raise ValueError(f"there is no column {missing[0]!r}; the first line must name {expected}{hint}")
+        if not len(columns["t"]):
+            raise ValueError(f"the log has no rows; it must have {_MIN_ROWS} to {_MAX_ROWS}")
         known = np.isfinite(np.column_stack([columns[name] for name in CONTROLS[kind]])).all(axis=1)
         begin = int(np.argmax(known)) if known.any() else 0
         columns = {name: values[begin:] for name, values in columns.items()}

@@ -73,8 +73,8 @@ class Options:
     """Name of the policy that is corrected; "none" for an agent without an expert. Default: that of the initial agent;
     for a new network backstepping, or los-pid with --vehicle."""
     authority: Annotated[tuple[float, ...], arg(metavar="A [A]")] = ()
-    """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]; one number for
-    both. Default: from the hyper-parameters."""
+    """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]: one number for
+    all, two, or in space three, with pitch between. Default: from the hyper-parameters."""
     from_: Annotated[str | None, arg(name="from", metavar="AGENT")] = None
     """Initial agent, by name or folder, such as "helm". Its weights, network, inputs, expert and authority are used in
     a short training with small learning rates. "none" for a new network, whose correction is zero. Default: none; with
@@ -108,8 +108,8 @@ class Options:
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]")] = ()
     """Hyper-parameters that replace those of the file, such as "effort_weight=0.1" or "preview=[5,10]"."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder of the run; existing files are not overwritten. Default: runs/train/ALGO-SCENARIO-VEHICLE, or
-    runs/train/AGENT-SCENARIO-VEHICLE with --from."""
+    """Folder of the run; existing files are not overwritten. Default: in runs/train, named after the algorithm
+    or the initial agent, the scenarios, the vehicle and its sea."""
     resume: bool = False
     """Continue the run that the same options have started in the folder, from its last checkpoint."""
 

@@ -37,7 +37,7 @@ class Options:
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = (EXPERT,)
-    """One to five policies, by name, file or folder, from left to right."""
+    """One to five policies, by name, file or folder, from left to right. Default: backstepping."""
     scenario: str = "cruise-storm"
     """A preset's name, or a .toml or .json file."""
     effects: Annotated[tuple[Path, ...], arg(metavar="FILE.py [...]")] = ()

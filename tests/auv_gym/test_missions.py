@@ -190,6 +190,7 @@ def test_what_a_file_has_beside_is_named(tmp_path):
         ("m.csv", "x,y\n1,2\nnan,4\n", "'nan' in column x of line 3 is no number"),
         ("m.csv", "x,y\n1,2\n", "it has too few waypoints, 1; it needs 2 or more"),
         ("m.csv", "x,y\n1,2\n3\n", "'' in column y of line 3 is no number"),
+        ("m.csv", "x,y\n1,2\n3,5,4\n", "line 3 has 3 cells, the heading 2; with decimal commas"),
         ("m.csv", "lat,lon\n91,2\n3,4\n", r"latitude of point 0 is 91.0; it must be in \[-90, 90\] degrees"),
         ("m.waypoints", "1 2 3\n", "its first line is '1 2 3'; it must begin with 'QGC WPL'"),
         ("m.geojson", "{", "m.geojson: it is not one object of JSON: "),
@@ -273,6 +274,8 @@ def test_a_corner_that_does_not_fit_is_said_with_a_radius_that_does():
         fits = float(re.search(r"a radius of ([\d.]+) m would fit", str(refused.value))[1])
         mission_scenario(SQUARE, speed=1.0, radius=fits)
     dense = replace(SQUARE, points=tuple((0.5 * k, 0.2 * (k % 2)) for k in range(40)))
+    with pytest.raises(ValueError, match="a path that almost turns back needs two corners there"):
+        mission_scenario(replace(SQUARE, points=((0.0, 0.0), (30.0, 0.0), (0.0, 0.1))), speed=1.0, radius=4.0)
     with pytest.raises(ValueError, match="where waypoints are that dense, thin them, or use a Spline"):
         mission_scenario(dense, radius=5.0)
 

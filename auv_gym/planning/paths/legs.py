@@ -16,6 +16,7 @@ from auv_gym.planning.paths.waypoints import check_speeds, checked_waypoints
 
 _NODES, _WEIGHTS = 0.5 * leggauss(24)[0] + 0.5, 0.5 * leggauss(24)[1]  # Gauss-Legendre on [0, 1]
 _PEAK = 15 / 8  # largest slope of the step S
+_SHARP = 150.0  # [deg] corner beyond which a smaller radius is no help
 _SWING = _PEAK * math.sqrt(math.pi / 2)
 """Length of a slight corner over radius and root of its turn, with the rate of curvature of one of 90 degrees."""
 
@@ -129,6 +130,8 @@ class Legs:
             if most < self.radius / 10:
                 hint += "; where waypoints are that dense, thin them, or use a Spline"
             corners = [abs(math.degrees(turns[c])) for c in (k - 1, k) if self.closed or 0 <= c < len(turns)]
+            if max(corners) > _SHARP:
+                hint = "a path that almost turns back needs two corners there"
             raise ValueError(
                 f"Legs: the leg from waypoint {k % n} to {(k + 1) % n} has {lengths[k]:.4g} m, and its corners, of "
                 f"{' and '.join(f'{angle:.1f}' for angle in corners)} degrees, need {both[k]:.4g} m; {hint}"

@@ -64,6 +64,7 @@ inline std::vector<Row> read_reference(std::istream& stream) {
       if (!std::getline(text, cell, ',')) throw std::runtime_error("reference: a row has fewer than 8 numbers");
       row[i] = std::stod(cell);
     }
+    if (std::string more; std::getline(text, more)) throw std::runtime_error("reference: a row has more than 8 numbers");
     rows.push_back(row);
   }
   return rows;
