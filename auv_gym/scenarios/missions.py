@@ -125,7 +125,8 @@ def mission_scenario(
         turn_rate = model.turn_rate or PAPER_TURN_RATE * PAPER.vehicle.time / model.vehicle.time
         radius = max(speeds or (speed,)) / turn_rate
     _check_dive(mission)
-    path = Legs(mission.points, speed, radius, speeds)
+    with guarded(f"mission {mission.name}"):
+        path = Legs(mission.points, speed, radius, speeds)
     V_x, V_y = map(float, current)
     flow = RandomCurrent(speed=math.hypot(V_x, V_y), direction=math.atan2(V_y, V_x), relative=False)
     steered, vertical = _in_space(path, mission, radius) if mission.depths else (path, None)

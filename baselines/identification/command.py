@@ -53,7 +53,8 @@ class Options:
     holdout: Annotated[tuple[Path, ...], arg(metavar="LOG [LOG ...]")] = ()
     """Held-out logs, which are predicted by the fitted vehicle; the report compares predictions and measurements."""
     format: Annotated[str | None, arg(metavar="FORMAT")] = None
-    """Columns, units and axes of the logs: the name of an included format, or a TOML file."""
+    """Columns, units and axes of the logs: the name of an included format (docs/identify.md has them), or a TOML
+    file."""
     known: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [NAME=VALUE ...]")] = ()
     """Values of known parameters, which are not fitted."""
     still_water: bool = False

@@ -188,7 +188,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
         values = {**initial.config.hyperparameters, **values}
         expert, authority = initial.agent.expert, initial.agent.authority
     else:
-        if options.expert not in (None, *POLICIES):
+        if options.expert is not None and options.expert not in POLICIES:
             experts = (name for name, one in POLICIES.items() if not one.privileged)
             check_words("expert", [options.expert], (NO_EXPERT, *experts))
         expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle and usual == EXPERT else usual)

@@ -50,11 +50,12 @@ class Options:
     initial values, and NAME of the result is FILE-FACTORY.
     Exit status: 0 done, 1 the controller failed, 2 wrong usage.
 
-    Example: auv-gym tune hand.py:HandPoint --start start.json
+    Example: auv-gym tune los-pid --speed-range slow
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """The controller, or FILE.py:FACTORY."""
+    """The controller: integral-normalised, los-pid, lqi, ilos, ekf, nmpc, nmpc-adverse or los-setpoints; or
+    FILE.py:FACTORY."""
     speed_range: Annotated[Literal["slow", "cruise", "space"], arg(metavar="slow|cruise|space")] = "cruise"
     """Speed range to tune for, or motion in space."""
     evaluations: int = EVALUATIONS

@@ -194,7 +194,7 @@ def test_corrections_of_the_law():
         np.testing.assert_allclose(other, seen, rtol=1e-6, atol=1e-6)
         action = rng.uniform(-1, 1, 3)
         seen, together, other = one.step(action)[0], many.step(np.tile(action, (3, 1)))[0], around.step(action)[0]
-    with pytest.raises(ValueError, match="or one each for 3 channels"):
+    with pytest.raises(ValueError, match="or one each for surge, pitch and yaw"):
         ResidualAction(UnderactuatedAUVTrack3DEnv(STORM), law, (0.3, 0.2))
     registered = gym.make("UnderactuatedAUVTrackResidual3D-space-storm-v0", authority=0.3)
     assert registered.reset(seed=0)[0].shape == (34,)
