@@ -7,7 +7,7 @@ the units of a policy (`auv_gym.physics.units`), so they are wrong in only one o
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -28,10 +28,10 @@ from research.study import Study, stamp
 _SUITE = "benchmark-v3"
 _POLICIES = ("helm", "helm-any", "ekf", "backstepping", "nmpc")
 _EPISODES = 12  # of each case
-ERROR_SIZES = (0.2, 0.4, 0.6)
-"""Largest relative errors of a parameter; errors are uniform between plus and minus the largest one."""
+ERROR_SIZE = 0.6
+"""Largest relative error of a parameter; errors are uniform between plus and minus it."""
 _MODELS = 4
-"""Number of wrong models of each size, the same ones for all policies."""
+"""Number of wrong models, the same ones for all policies."""
 _RATIOS = ("m22", "d11", "d22", "d33")
 PARAMETER_SETS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "ratios": (_RATIOS, "m22, drag"),
@@ -50,7 +50,7 @@ def model_errors(number: int) -> dict[str, float]:
         drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in ("m11", "m22", "m33", "d11", "d22", "d33")}
         with suppress(ValueError):  # no slender vehicle
             for key in PARAMETER_SETS:
-                wrong_model(PAPER_VEHICLE, drawn, ERROR_SIZES[-1], key)
+                wrong_model(PAPER_VEHICLE, drawn, ERROR_SIZE, key)
             return drawn
 
 
@@ -82,13 +82,12 @@ def _measure(policy: str, speed_range: str, quick: bool = False) -> dict[str, An
     vehicle, batch = cells[0].scenario.vehicle, SideBySide(cells)
     right, failed = _errors(policy, vehicle, batch, speed_range)
 
-    def compared(wrong: str, size: float) -> dict[str, Any]:
-        wrong_models = (wrong_model(vehicle, model_errors(k), size, wrong) for k in range(models))
+    def compared(wrong: str) -> dict[str, Any]:
+        wrong_models = (wrong_model(vehicle, model_errors(k), ERROR_SIZE, wrong) for k in range(models))
         results = [_errors(policy, model, batch, speed_range) for model in wrong_models]
         by_case = [np.array(errors) for errors in zip(*(errors for errors, _ in results), strict=True)]
         ratio = relative_error(right, by_case)
         return {
-            "size": size,
             "ratio": [ratio.mean, *ratio.ci95],
             "models": [relative_error(right, [rows[k] for rows in by_case]).mean for k in range(models)],
             "error_m": [float(rows.mean()) for rows in by_case],
@@ -96,11 +95,10 @@ def _measure(policy: str, speed_range: str, quick: bool = False) -> dict[str, An
         }
 
     return {
-        "cases": [cell.scenario.name.removeprefix(f"{speed_range}-") for cell in cells],
         "episodes": sum(len(cell.episodes) for cell in cells),
         "models": models,
         "right": {"error_m": [float(row.mean()) for row in right], "failed": failed},
-        "wrong": {key: [compared(key, size) for size in ERROR_SIZES] for key in PARAMETER_SETS},
+        "wrong": {key: compared(key) for key in PARAMETER_SETS},
     }
 
 
@@ -129,35 +127,15 @@ def context(_: str = "") -> dict[str, Any]:
     values = STUDY.values()
     places = [(speed_range, key) for speed_range in SPEED_RANGES for key in PARAMETER_SETS]
     return {
-        "records": {
-            speed_range: [row for policy in _POLICIES for row in rows_of(policy, values[policy, speed_range])]
-            for speed_range in SPEED_RANGES
-        },
-        "sizes": [f"up to {100 * size:.0f} %" for size in ERROR_SIZES],
-        "largest": f"{100 * ERROR_SIZES[-1]:.0f} %",
+        "size": f"{100 * ERROR_SIZE:.0f} %",
         "models": _MODELS,
         "episodes": _EPISODES,
         "columns": [f"{speed_range}: {PARAMETER_SETS[key][1]}" for speed_range, key in places],
-        "summary": [
-            [f"`{p}`", *(f"{values[p, speed]['wrong'][key][-1]['ratio'][0]:.2f}" for speed, key in places)]
-            for p in _POLICIES
-        ],
+        "rows": [[f"`{p}`", *(_text(values[p, speed]["wrong"][key]) for speed, key in places)] for p in _POLICIES],
+        "runs": {value["models"] * value["episodes"] for value in values.values()},
     }
 
 
-def rows_of(policy: str, record: Mapping[str, Any]) -> Iterator[list[str]]:
-    """Yield a row of a table for each set of wrong parameters."""
-    right, episodes = record["right"], record["episodes"]
-    for key, (_, label) in PARAMETER_SETS.items():
-        *smaller, last = record["wrong"][key]
-        growth = [after / before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
-        i = growth.index(max(growth))
-        yield [
-            f"`{policy}`",
-            label,
-            *(f"{row['ratio'][0]:.2f}" for row in smaller),
-            "{:.2f} ({:.2f} ... {:.2f})".format(*last["ratio"]),
-            f"{max(last['models']):.2f}",
-            f"{record['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm",
-            f"{last['failed']} of {record['models'] * episodes}; {right['failed']} of {episodes}",
-        ]
+def _text(wrong: Mapping[str, Any]) -> str:
+    """Return a ratio with its interval, and the number of failures, as text."""
+    return "{:.2f} ({:.2f} ... {:.2f}), {}".format(*wrong["ratio"], wrong["failed"])

@@ -35,23 +35,24 @@ def test_wrong_models_are_wrong_in_their_parameters_and_within_their_size():
 def test_rows_of_a_policy_with_and_without_a_model():
     """Planned forces do not depend on the given model; the paper's law cancels terms of its model."""
     without = model_error._measure("open-loop", "cruise", quick=True)
-    assert without["cases"] == ["noise", "current"]
-    assert without["wrong"]["ratios"][0]["ratio"] == [1, 1, 1]
-    assert without["wrong"]["ratios"][0]["error_m"] == without["right"]["error_m"]
+    assert without["wrong"]["ratios"]["ratio"] == [1, 1, 1]
+    assert without["wrong"]["ratios"]["error_m"] == without["right"]["error_m"]
     record = model_error._measure("backstepping", "cruise", quick=True)
-    for rows in record["wrong"].values():
-        mean, low, high = rows[-1]["ratio"]
+    for wrong in record["wrong"].values():
+        mean, low, high = wrong["ratio"]
         assert low <= mean <= high
-        growth = np.divide(rows[-1]["error_m"], record["right"]["error_m"])
+        growth = np.divide(wrong["error_m"], record["right"]["error_m"])
         assert mean == pytest.approx(np.exp(np.log(growth).mean()))
-        assert min(rows[-1]["models"]) < mean < max(rows[-1]["models"])
+        assert min(wrong["models"]) < mean < max(wrong["models"])
 
 
 def test_the_page_shows_the_growth_of_errors():
-    shown, values = model_error.context()["records"]["slow"], model_error.STUDY.values()
-    mean, low, high = values["helm", "slow"]["wrong"]["all"][-1]["ratio"]
-    (row,) = (row for row in shown if row[:2] == ["`helm`", "m22, drag, m11, m33"])
-    assert row[4] == f"{mean:.2f} ({low:.2f} ... {high:.2f})"
+    page, wrong = model_error.context(), model_error.STUDY.values()["ekf", "cruise"]["wrong"]["all"]
+    mean, low, high = wrong["ratio"]
+    (row,) = (row for row in page["rows"] if row[0] == "`ekf`")
+    shown = row[1 + page["columns"].index("cruise: m22, drag, m11, m33")]
+    assert shown == f"{mean:.2f} ({low:.2f} ... {high:.2f}), {wrong['failed']}"
+    assert page["runs"] == {528}
 
 
 @pytest.mark.slow
@@ -62,7 +63,7 @@ def test_recorded_errors_are_reproduced_and_the_sentence_of_the_page_is_true():
     ((errors,), _) = model_error._errors("helm-any", cell.scenario.vehicle, batch, "cruise")
     assert errors.mean() == pytest.approx(values["helm-any", "cruise"]["right"]["error_m"][0], rel=1e-2)
     for speed_range in ("slow", "cruise"):
-        ratios = {p: values[p, speed_range]["wrong"]["ratios"][-1]["ratio"][0] for p in model_error._POLICIES}
+        ratios = {p: values[p, speed_range]["wrong"]["ratios"]["ratio"][0] for p in model_error._POLICIES}
         assert ratios["helm"] < 1.1
         assert ratios["helm-any"] < 1.6
         assert 3.5 < min(ratios["ekf"], ratios["nmpc"]) < max(ratios["ekf"], ratios["nmpc"]) < 10.5
