@@ -30,7 +30,7 @@ _POLICIES = ("helm", "helm-any", "ekf", "backstepping", "nmpc")
 _EPISODES = 12  # of each case
 ERROR_SIZE = 0.6
 """Largest relative error of a parameter; errors are uniform between plus and minus it."""
-_MODELS = 4
+_MODELS = 12
 """Number of wrong models, the same ones for all policies."""
 _RATIOS = ("m22", "d11", "d22", "d33")
 PARAMETER_SETS: Mapping[str, tuple[tuple[str, ...], str]] = {
