@@ -174,3 +174,11 @@ def test_the_package_names_what_its_node_includes():
     assert depends == set(re.findall(r"#include <(\w+)/", node))
     assert depends | {"ament_cmake"} == set(re.findall(r"find_package\((\w+)", build))
     assert f"project({package.findtext('name')} C CXX)" in build
+
+
+def test_a_reference_with_a_column_too_many_is_refused(program, tmp_path):
+    (tmp_path / "reference.csv").write_text("0,0,0,0,0,0,0,0,0\n", encoding="utf-8")
+    words = [program / "program", "enu", "0"]
+    done = subprocess.run(words, input="", cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "a row has more than 8 numbers" in done.stderr

@@ -420,6 +420,7 @@ def test_logs_of_wrong_shapes_and_axes_and_short_ones_are_refused(log):
     ("text", "says"),
     [
         ("", "there is no column 't'; the first line must name t [s], x [m]"),
+        ("t,x,y,psi,u,v,r,F_u,F_r\n", "the log has no rows; it must have 50 to"),
         ("t,x,y,psi [gon],u,v,r,F_u,F_r\n", "psi is in 'gon'; allowed are rad, deg"),
         ("t,x,y,psi,u,v,r,F_u,F_r\n0,0,0,east,0,0,0,0,0\n", "psi in data row 1 is 'east'; it must be a number"),
     ],
