@@ -80,7 +80,7 @@ def make_policy(name: str, vehicle: VehicleLike | SpaceVehicle | None = None, **
     if name not in POLICIES:
         if name.endswith(".py"):
             raise ValueError(f"policy {name!r} names no class or factory; write {name}:NAME")
-        known = [*POLICIES, *shipped_agents(None)]
+        known = [*POLICIES, *shipped_agents()]
         hint = meant(name, [one + suffix for suffix in ("", GUARD) for one in known])
         raise ValueError(
             f"unknown policy {name!r}{hint}; allowed are {', '.join(known)}, FILE.py:FACTORY, "

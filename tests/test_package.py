@@ -21,6 +21,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.results import ResultFile
 from baselines.tools import files
 from baselines.tools.command_line import parse
+from baselines.tuning.objective import SPACE_TUNABLES, TUNABLES
 from research import __main__ as research
 
 HERE = ("--no-isolation", "--skip-dependency-check")
@@ -110,6 +111,17 @@ def test_the_example_in_the_help_of_a_command_is_valid(name):
     program, command, *words = shlex.split(re.search(r"Example: (.*)", options.__doc__)[1])
     assert (program, command) == ("auv-gym", name)
     assert isinstance(parse(options, words, program), options)
+
+
+def test_the_help_has_all_controllers_that_can_be_tuned_and_all_suites(capsys):
+    folders = (package.ROOT / name / "data" / "suites" for name in ("research", "baselines/evaluation"))
+    suites = [file.name.split(".")[0] for folder in folders for file in folder.glob("*.bz2")]
+    assert len(suites) >= 6
+    for name, words in (("tune", {*TUNABLES, *SPACE_TUNABLES}), ("evaluate", suites)):
+        with pytest.raises(SystemExit):
+            parse(import_module(product.COMMANDS[name].module).Options, ["--help"], name)
+        shown = capsys.readouterr().out
+        assert [word for word in words if word not in shown] == []
 
 
 def test_the_list_of_commands_does_not_import_them():

@@ -181,7 +181,7 @@ def _of_table(name: str, text: str) -> Mission:
         data, csv.reader([lines[k].lstrip("# ") for k in data], delimiter=separator), strict=True
     ))  # fmt: skip
     for k, row in zip(data[1:], rows, strict=True):
-        if any(row[len(heading) :]):
+        if separator == "," and not blanks and any(row[len(heading) :]):
             raise ValueError(
                 f"line {k + 1} has {len(row)} cells, the heading {len(heading)}; with decimal commas, separate columns "
                 "by semicolons"

@@ -29,6 +29,7 @@ WIND_COLUMNS = ("W_x", "W_y")
 _COLUMNS = ("t", *MEASURED_COLUMNS, "F_u", "F_r", "thrust", "revolutions", "rudder", *WIND_COLUMNS)
 _MIN_ROWS = 50  # of a run
 _MAX_ROWS = 100_000  # of a log
+_ALLOWED = f"it must have {_MIN_ROWS} to {_MAX_ROWS}"
 _MAX_ENTRY = 1e12  # largest magnitude of an entry
 _MIN_MOTION = 1e-6  # least peak velocity [m/s], [rad/s] of a log, and least range of its commands
 _TURNED = 0.5  # [rad] change of the heading from which no speed is constant
@@ -74,10 +75,7 @@ class Log:
                 raise ValueError(f"a log of {T} instants has {name} of shape {values.shape}; it must be ({T}, {width})")
         if T > _MAX_ROWS:
             every = self.duration / (0.5 * _MAX_ROWS)
-            raise ValueError(
-                f"the log has {T} rows; it must have {_MIN_ROWS} to {_MAX_ROWS}: thin it by every = {every:.2g} in a "
-                "format, or cut it"
-            )
+            raise ValueError(f"the log has {T} rows; {_ALLOWED}: thin it by every = {every:.2g} in a format, or cut it")
         for name, column in zip(self.columns, self.table.T, strict=True):
             if len(bad := np.flatnonzero(~(np.abs(column) <= _MAX_ENTRY))):
                 entry = f"{name} in data row {bad[0] + 1} is {column[bad[0]]}"
@@ -101,7 +99,7 @@ class Log:
     def _check_times(self, run: slice) -> None:
         t = self.t[run]
         if len(t) < _MIN_ROWS:
-            raise ValueError(f"the log has {len(t)} rows; it must have {_MIN_ROWS} to {_MAX_ROWS}")
+            raise ValueError(f"the log has {len(t)} rows; {_ALLOWED}")
         if len(back := np.flatnonzero(np.diff(t) <= 0)):
             k = int(back[0])
             raise ValueError(
@@ -198,7 +196,7 @@ class Log:
             hint = "" if form else "; describe other names, units and separators in a format: --format FILE.toml"
             raise ValueError(f"there is no column {missing[0]!r}; the first line must name {expected}{hint}")
         if not len(columns["t"]):
-            raise ValueError(f"the log has no rows; it must have {_MIN_ROWS} to {_MAX_ROWS}")
+            raise ValueError(f"the log has no rows; {_ALLOWED}")
         known = np.isfinite(np.column_stack([columns[name] for name in CONTROLS[kind]])).all(axis=1)
         begin = int(np.argmax(known)) if known.any() else 0
         columns = {name: values[begin:] for name, values in columns.items()}
@@ -216,7 +214,7 @@ class Log:
         t = columns["t"]
         t = t - t[0] if len(t) and t[0] > _EPOCH else t
         if not (runs := [slice(0, len(t))] if form is None else _without_gaps(t)):
-            raise ValueError(f"the log has no {_MIN_ROWS} rows without a gap; it must have {_MIN_ROWS} to {_MAX_ROWS}")
+            raise ValueError(f"the log has no {_MIN_ROWS} rows without a gap; {_ALLOWED}")
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
         if form and (len(rows) < len(t) or len(runs) > 1):
             notes.append(

@@ -22,7 +22,7 @@ from auv_gym.scenarios.presets import SETPOINTS, with_setpoints
 from auv_gym.scenarios.records import meant, read_table, table_file
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, as_vehicle_model
-from baselines.agents.names import AGENT_FOLDER
+from baselines.agents.names import AGENT_FOLDER, shipped_agents
 from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation.request import checked_scenario, import_effects
@@ -190,7 +190,7 @@ def configurations(options: Options) -> tuple[Config, ...]:
     else:
         if options.expert is not None and options.expert not in POLICIES:
             experts = (name for name, one in POLICIES.items() if not one.privileged)
-            check_words("expert", [options.expert], (NO_EXPERT, *experts))
+            check_words("expert", [options.expert], (NO_EXPERT, *experts, *shipped_agents()))
         expert = options.expert or expert or (VEHICLE_EXPERT if options.vehicle and usual == EXPERT else usual)
     first = Config(
         options.algo,

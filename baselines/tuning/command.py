@@ -140,9 +140,9 @@ def known_vehicle_model(vehicle: str) -> VehicleModel:
     Raises:
         UsageError: the vehicle is unknown, or the file cannot be read.
     """
-    checked(partial(as_vehicle, vehicle))  # an error if it is unknown
-    vehicle_model = PAPER if vehicle == PAPER.name else as_vehicle_model(vehicle)
+    vehicle_model = PAPER if vehicle == PAPER.name else checked(partial(as_vehicle_model, vehicle))
     if vehicle_model is None:
+        checked(partial(as_vehicle, vehicle))  # an error if it is unknown
         raise UsageError(f"the limits and the lag of {vehicle} are not known; take {PAPER.name}, or a .toml file")
     return vehicle_model
 

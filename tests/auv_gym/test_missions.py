@@ -167,6 +167,12 @@ def test_what_a_file_has_beside_is_named(tmp_path):
             assert read_mission(tmp_path / name).speeds == speeds
 
 
+def test_names_with_blanks_in_a_table_without_separators_are_left_out(tmp_path):
+    (tmp_path / "m.csv").write_text("x y name\n0 0 the first buoy\n30 0 harbour\n", encoding="utf-8")
+    with pytest.warns(WaypointWarning, match="the columns name are not used"):
+        assert read_mission(tmp_path / "m.csv").points == ((0.0, 0.0), (30.0, 0.0))
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

@@ -183,6 +183,11 @@ def test_wrong_options_give_one_line_and_create_no_files(arguments, message, cal
     assert set(Path().rglob("*")) == before
 
 
+def test_an_agent_may_be_the_expert():
+    [config] = command.configurations(Options("apg", ("cruise-storm",), expert="helm-small"))
+    assert config.expert == "helm-small"
+
+
 @pytest.mark.parametrize("algo", ["ppo", "td3"])
 def test_divergence_is_one_line(algo, call, capsys):
     write(f"{algo}.toml", **(TINY[algo] | {"learning_rate": 1e30}))
